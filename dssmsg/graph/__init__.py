@@ -1,0 +1,1 @@
+"""The scene graph and the paper's pure algorithms."""

@@ -1,0 +1,1 @@
+"""The simulator: world, robot, scenes, furniture, camera."""
