@@ -60,6 +60,8 @@ class SourceInfo:
     credits: tuple[str, ...] = ()
     depth_noise_m: tuple[float, float] = (0.001, 0.0)
     """(a, b) of the sensor's depth noise sigma(z) = a + b z^2, metres."""
+    accelerations: tuple[float, float] = (1.0, 3.0)
+    """How fast the robot's speeds can change: linear m/s2, angular rad/s2."""
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 

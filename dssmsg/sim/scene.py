@@ -27,6 +27,18 @@ Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 PieceId = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*-[0-9]+$", max_length=60)]
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML whose only truth values are true and false, so that `on: table-1` keeps its key."""
+
+
+_BOOL = "tag:yaml.org,2002:bool"
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != _BOOL]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(_BOOL, re.compile(r"^(?:true|false)$"), ["t", "f"])
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -322,7 +334,7 @@ def load_scene(name: str, *, base_dir: Path | None = None) -> Scene:
 def parse_scene(text: str, *, file: Path | str) -> Scene:
     """A scene from YAML text; InputError names the first wrong key of `file`."""
     try:
-        data = yaml.safe_load(text)
+        data = yaml.load(text, Loader=_Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark is not None else ""

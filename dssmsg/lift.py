@@ -1,0 +1,206 @@
+"""From detections to observations in the world: ALGORITHM A.1, after paper III-A.
+
+"2D masks are projected into 3D point clouds using the depth image and camera pose." Ours adds what keeps
+those clouds clean: mask rims on depth steps are left out, points are thinned to voxels, and only the
+largest density cluster stays.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dssmsg.cluster import density_clusters
+from dssmsg.frame import Detection, Float32Array, Frame, MaskArray, Observation
+from dssmsg.geometry import box_of, cell_keys, pixel_rays, transform_points
+
+BACKGROUND_LABELS = frozenset({"wall", "floor", "ceiling", "door"})
+"""Labels that are never nodes of the graph."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lifted:
+    """Observations in the order of their detections; `dropped` counts detections by reason, `reasons` names
+    it for each dropped detection by its index: `background`, `no_depth`, `few_points` or `sparse`."""
+
+    observations: tuple[Observation, ...]
+    dropped: Counter[str]
+    reasons: dict[int, str]
+
+
+class Lifter:
+    """Lifts the detections of one frame at a time; holds settings only.
+
+    Lengths in metres. `max_range` drops pixels farther along the optical axis; `min_points` is asked of the
+    pixels with depth and again of the final voxels' cluster; `voxel` is the side of world-aligned cells
+    floor(p / voxel), each represented by the mean of its points; `eps` and `min_neighbours` (the point
+    itself counted) define density clusters; a mask pixel beside a pixel outside the mask counts as rim, and
+    is left out where the two depths differ by more than `step` plus `step_ratio` of the depth.
+    """
+
+    def __init__(
+        self,
+        max_range: float = 5.0,
+        min_points: int = 16,
+        voxel: float = 0.025,
+        eps: float = 0.1,
+        min_neighbours: int = 10,
+        step: float = 0.05,
+        step_ratio: float = 0.02,
+        background_labels: frozenset[str] = BACKGROUND_LABELS,
+    ) -> None:
+        self.max_range = max_range
+        self.min_points = min_points
+        self.voxel = voxel
+        self.eps = eps
+        self.min_neighbours = min_neighbours
+        self.step = step
+        self.step_ratio = step_ratio
+        self.background_labels = background_labels
+
+    def lift(self, frame: Frame, detections: Sequence[Detection]) -> Lifted:
+        """Observations of the detections that hold enough points; masks must have the frame's size (H, W).
+
+        Raises ValueError for a mask of another size.
+        """
+        reasons: dict[int, str] = {}
+        chosen: list[int] = []
+        pixels: list[NDArray[np.intp]] = []
+        readable = (frame.depth > 0) & (frame.depth <= np.float32(self.max_range))
+        steps = depth_steps(frame.depth, self.step, self.step_ratio)
+        for index, detection in enumerate(detections):
+            if detection.mask.shape != frame.depth.shape:
+                raise ValueError(
+                    f"detection {index}: expected a mask of shape {frame.depth.shape}, got {detection.mask.shape}"
+                )
+            if detection.label.strip().lower() in self.background_labels:
+                reasons[index] = "background"
+                continue
+            found = mask_pixels(detection.mask, readable, steps)
+            if len(found) < self.min_points:
+                reasons[index] = "few_points" if len(found) else "no_depth"
+                continue
+            chosen.append(index)
+            pixels.append(found)
+        observations = self._observe(frame, detections, chosen, pixels, reasons) if chosen else []
+        return Lifted(tuple(observations), Counter(reasons.values()), dict(sorted(reasons.items())))
+
+    def _observe(
+        self,
+        frame: Frame,
+        detections: Sequence[Detection],
+        chosen: list[int],
+        pixels: list[NDArray[np.intp]],
+        reasons: dict[int, str],
+    ) -> list[Observation]:
+        """Voxelise and cluster all detections in one go (few large array operations instead of many small)."""
+        owner = np.repeat(np.arange(len(chosen)), [len(p) for p in pixels])
+        pixel = np.concatenate(pixels)
+        depth = frame.depth.reshape(-1)[pixel].astype(np.float64)
+        points = transform_points(frame.world_from_camera, pixel_rays(frame.camera)[pixel] * depth[:, None])
+        colors = frame.rgb.reshape(-1, 3)[pixel]
+        points, voxel_colors, owner = voxelise(points, colors, self.voxel, owner)
+        labels = density_clusters(points, self.eps, self.min_neighbours, groups=owner)
+        observations = []
+        ends = np.searchsorted(owner, np.arange(len(chosen) + 1))
+        for place, index in enumerate(chosen):
+            part = slice(ends[place], ends[place + 1])
+            named = labels[part][labels[part] >= 0]
+            keep = np.flatnonzero(labels[part] == np.bincount(named).argmax()) if len(named) else named
+            if len(keep) < self.min_points:
+                reasons[index] = "sparse"
+                continue
+            detection = detections[index]
+            cloud: Float32Array = points[part][keep].astype(np.float32)
+            box_min, box_max = box_of(cloud)
+            observations.append(
+                Observation(
+                    detection_index=index,
+                    label=detection.label,
+                    score=detection.score,
+                    points_world=_read_only(cloud),
+                    colors=_read_only(voxel_colors[part][keep]),
+                    box_min=_read_only(box_min),
+                    box_max=_read_only(box_max),
+                    range_m=float(np.median(frame.depth.reshape(-1)[pixels[place]])),
+                    text_feature=detection.text_feature,
+                    image_feature=detection.image_feature,
+                )
+            )
+        return observations
+
+
+def depth_steps(depth: Float32Array, step: float, step_ratio: float) -> tuple[MaskArray, MaskArray]:
+    """Where depth (H, W) jumps: between horizontal neighbours (H, W - 1) and vertical ones (H - 1, W), bool.
+
+    A jump is more than `step` metres plus `step_ratio` of the nearer depth; no reading counts as depth 0.
+    """
+    horizontal = np.abs(depth[:, 1:] - depth[:, :-1]) > step + step_ratio * np.minimum(depth[:, 1:], depth[:, :-1])
+    vertical = np.abs(depth[1:] - depth[:-1]) > step + step_ratio * np.minimum(depth[1:], depth[:-1])
+    return horizontal, vertical
+
+
+def mask_pixels(mask: MaskArray, readable: MaskArray, steps: tuple[MaskArray, MaskArray]) -> NDArray[np.intp]:
+    """Flat, ascending indices of the mask's readable pixels, without its rim where depth jumps across the rim.
+
+    Sensors mix the depths on both sides of such a step ("flying pixels"), and masks leak over it. Thin
+    things are nearly all rim: if less than half would be left, the rim stays.
+    """
+    rows = np.flatnonzero(mask.any(axis=1))
+    if len(rows) == 0:
+        return rows
+    top, bottom = int(rows[0]), int(rows[-1]) + 1
+    columns = np.flatnonzero(mask[top:bottom].any(axis=0))
+    left, right = int(columns[0]), int(columns[-1]) + 1
+    # One pixel more on each side, inside the image, so that the neighbours across the rim are seen too.
+    top, left = max(top - 1, 0), max(left - 1, 0)
+    bottom, right = min(bottom + 1, mask.shape[0]), min(right + 1, mask.shape[1])
+    inside = mask[top:bottom, left:right]
+    good = inside & readable[top:bottom, left:right]
+    across = (inside[:, 1:] != inside[:, :-1]) & steps[0][top:bottom, left : right - 1]
+    down = (inside[1:] != inside[:-1]) & steps[1][top : bottom - 1, left:right]
+    rim = np.zeros_like(inside)
+    rim[:, 1:] |= across
+    rim[:, :-1] |= across
+    rim[1:] |= down
+    rim[:-1] |= down
+    core = good & ~rim
+    if 2 * np.count_nonzero(core) >= np.count_nonzero(good):
+        good = core
+    v, u = np.nonzero(good)
+    return (v + top) * mask.shape[1] + (u + left)
+
+
+def voxelise(
+    points: NDArray[np.float64], colors: NDArray[np.uint8], voxel: float, owner: NDArray[np.intp] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.intp]]:
+    """Thin points (N, 3) to one a cell floor(p / voxel) of each owner: the mean point and mean colour.
+
+    Returns points (M, 3), colours (M, 3) and owners (M,), ordered by owner, then by cell x, y, z.
+    """
+    if owner is None:
+        owner = np.zeros(len(points), dtype=np.intp)
+    if len(points) == 0:
+        return points, colors, owner
+    keys, _ = cell_keys(points, voxel, owner)
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+    sizes = np.diff(np.append(starts, len(points)))
+    mean_points = np.empty((len(starts), 3))
+    mean_colors = np.empty((len(starts), 3), dtype=np.uint8)
+    for axis in range(3):
+        mean_points[:, axis] = np.add.reduceat(points[order, axis], starts) / sizes
+        sums = np.add.reduceat(colors[order, axis], starts, dtype=np.int64)
+        mean_colors[:, axis] = (2 * sums + sizes) // (2 * sizes)  # rounded
+    return mean_points, mean_colors, owner[order[starts]]
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.flags.writeable = False
+    return array

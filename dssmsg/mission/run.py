@@ -1,0 +1,387 @@
+"""A whole run: build the plug-ins, carry out the phases, tell the observers, sum up."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from dssmsg import __version__, checks
+from dssmsg.config import RunConfig, Slot
+from dssmsg.contexts import ContextFactory
+from dssmsg.errors import ConfigError, InputError
+from dssmsg.events import EpisodeEnded, ErrorOccurred, NavigationChanged, PhaseStarted, RunFinished, RunStarted
+from dssmsg.frame import Frame
+from dssmsg.graph.ids import IdAllocator
+from dssmsg.graph.nodes import BELIEVED
+from dssmsg.graph.scene_graph import SceneGraph
+from dssmsg.graph.waypoints import WaypointTopology
+from dssmsg.guard import Guard
+from dssmsg.host import Built, Host
+from dssmsg.interfaces import Command, Observer, SourceInfo
+from dssmsg.lift import Lifter
+from dssmsg.mission.bus import ObserverBus
+from dssmsg.mission.drive import Driver
+from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
+from dssmsg.mission.pipeline import Pipeline, Plugins
+from dssmsg.mission.seek import Seeker
+from dssmsg.mission.survey import Surveyor
+
+_log = logging.getLogger("dssmsg.mission")
+
+VERSIONED = ("rerun-sdk", "pluggy", "numpy", "scipy", "open3d-cpu", "open3d", "onnxruntime", "pybullet")
+"""Packages whose versions go into the recording's properties."""
+
+BUILD_ORDER = ("encoder", "llm", "perception", "association", "update", "grounding", "navigation")
+"""After the source: whatever a kind may ask its context for is built before it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What a run comes to: the summary that `run --json` prints, the graph, and the exit code."""
+
+    summary: dict[str, Any]
+    graph: SceneGraph
+    exit_code: int
+
+
+def run_mission(config: RunConfig, host: Host, *, observers: Sequence[tuple[str, Observer]] = ()) -> RunResult:
+    """Carry out the mission of a configuration.
+
+    `observers` are told everything besides the configured ones. Raises ConfigError, InputError before
+    anything is written; PluginError with `on_error: fail`, StorageError when the disk gives out.
+    """
+    host.check(config)
+    mission = Mission(config, host, observers)
+    return mission.run()
+
+
+class Mission:
+    """One run. Built in its constructor, carried out by `run`."""
+
+    def __init__(self, config: RunConfig, host: Host, observers: Sequence[tuple[str, Observer]] = ()) -> None:
+        self._config = config
+        self._host = host
+        self._started = perf_counter()
+        self._run_id = new_run_id(config)
+        self.graph = SceneGraph()
+        self._contexts = ContextFactory(
+            host,
+            config.seed,
+            self.graph,
+            IdAllocator(),
+            config.base_dir,
+            Path(config.recording.directory),
+            self._run_id,
+        )
+        self._built: dict[str, Built] = {}
+        with config.naming_files():
+            self._source = self._build("source").plugin
+            info: SourceInfo = self._source.info
+            self._info = info
+            self._contexts.source = info
+            for kind in BUILD_ORDER:
+                built = self._build(kind)
+                if kind == "encoder":
+                    self._contexts.encoder = built.plugin
+                elif kind == "llm":
+                    self._contexts.llm = built.plugin
+            self._check_feature_space()
+            built_observers = [
+                (name, self._build_slot("observer", slot, f"recording.observers.{name}").plugin)
+                for name, slot in config.recording.observers.items()
+            ]
+        self._bus = ObserverBus([*built_observers, *observers])
+        self._guard = Guard(config.on_error, config.timeout_secs, self._bus.tell, on_hang=self._bus.close)
+        self._pipeline = self._make_pipeline()
+        self._driver = Driver(
+            config.mission.linear_speed,
+            config.mission.angular_speed,
+            info.rate_hz,
+            linear_acceleration=info.accelerations[0],
+            angular_acceleration=info.accelerations[1],
+        )
+        self._episodes: list[EpisodeEnded] = []
+        self._skipped_stops: list[str] = []
+        self._visit = -1
+        self._frame: Frame | None = None
+        self._phase_state = ("", "")
+        self._distance = 0.0
+
+    def run(self) -> RunResult:
+        """Carry out all phases; the observers are closed and the source released however it ends."""
+        try:
+            self._bus.tell(self._start_event())
+            try:
+                self._phases()
+            finally:
+                self._source.close()
+            summary = self._summary()
+            last = self._frame
+            self._bus.tell(
+                RunFinished(last.index if last else -1, last.sim_time if last else 0.0, summary)
+            )
+        finally:
+            self._guard.close()
+            self._bus.close()
+        outputs = self._bus.outputs()
+        summary = {"recording": outputs.pop("recording", None), **summary}
+        if outputs:
+            summary["outputs"] = outputs
+        return RunResult(summary, self.graph, 1 if self._bus.failed else 0)
+
+    # Building
+
+    def _build(self, kind: str) -> Built:
+        built = self._build_slot(kind, getattr(self._config, kind), kind)
+        self._built[kind] = built
+        return built
+
+    def _build_slot(self, kind: str, slot: Slot, key: str) -> Built:
+        return self._host.build(kind, slot, self._contexts, base_dir=self._config.base_dir, key=key)
+
+    def _check_feature_space(self) -> None:
+        perceived = self._built["perception"].plugin.feature_space
+        space = self._built["encoder"].plugin.space
+        if perceived is not None and perceived != space:
+            raise ConfigError(
+                f"its features live in the space '{perceived}', the encoder's in '{space}'; "
+                "choose an encoder of the same space",
+                key="perception.use",
+            )
+
+    def _make_pipeline(self) -> Pipeline:
+        built, mission = self._built, self._config.mission
+        plugins = Plugins(
+            perception=built["perception"].plugin,
+            association=built["association"].plugin,
+            update=built["update"].plugin,
+            perception_name=built["perception"].registration.id,
+            association_name=built["association"].registration.id,
+            update_name=built["update"].registration.id,
+            perception_needs_truth=built["perception"].registration.needs_truth,
+        )
+        rule = KeyFrameRule(
+            per_heading=mission.views_per_heading,
+            stop_step_rad=min(KeyFrameRule().stop_step_rad, math.radians(mission.heading_step_deg)),
+        )
+        return Pipeline(
+            plugins,
+            self.graph,
+            WaypointTopology(self.graph, self._contexts.ids),
+            Lifter(),
+            KeyFrameSelector(rule),
+            self._guard,
+            self._bus,
+        )
+
+    def _start_event(self) -> RunStarted:
+        return RunStarted(
+            run_id=self._run_id,
+            name=self._config.name,
+            seed=self._config.seed,
+            config=self._host.resolved(self._config),
+            source=self._info,
+            plugins={
+                kind: {
+                    "name": built.registration.name,
+                    "version": built.registration.version,
+                    "origin": built.registration.origin,
+                }
+                for kind, built in self._built.items()
+            },
+            versions=installed_versions(),
+            parent=self._info.facts.get("parent"),
+            feature_space=self._built["perception"].plugin.feature_space,
+        )
+
+    # Phases
+
+    def _phases(self) -> None:
+        phases = self._config.mission.phases
+        if not self._info.drivable:
+            if "seek" in phases:
+                self._skip("mission", f"source {self._info.name} cannot be driven", "phase seek")
+            visits = self._info.visits or 1
+            for visit in range(visits):
+                self._begin("survey" if visit == 0 else "revisit", visit)
+                self._play()
+                self._end_visit()
+            return
+        for phase in phases:
+            if phase == "seek":
+                self._begin("seek", max(self._visit, 0))
+                self._seek()
+            else:
+                self._begin(phase, self._visit + 1)
+                self._survey()
+                self._end_visit()
+
+    def _begin(self, phase: str, visit: int) -> None:
+        if visit != self._visit:
+            with self._pipeline.stage("source"):
+                self._guard.call(self._built["source"].registration.id, "start_visit", lambda: self._source.start_visit(visit))
+            self._visit = visit
+        index, sim_time = (self._frame.index + 1, self._frame.sim_time) if self._frame else (0, 0.0)
+        self._bus.tell(PhaseStarted(phase, visit, index, sim_time))
+
+    def _end_visit(self) -> None:
+        if self._frame is not None:
+            self._pipeline.finish_visit(self._frame)
+
+    def _play(self) -> None:
+        """A source that cannot be driven: take its frames as they come."""
+        while (frame := self._capture(None)) is not None:
+            self._take(frame, None)
+        if self._frame is None:
+            raise InputError(f"source {self._info.name} gave no frame", key="source")
+
+    def _survey(self) -> None:
+        tours = self._info.tours
+        if not tours:
+            raise ConfigError(f"scene '{self._info.scene}' has no tour to drive", key="source.scene")
+        mission = self._config.mission
+        surveyor = Surveyor(
+            tours[min(self._visit, len(tours) - 1)],
+            self._driver,
+            looks=mission.views_per_heading,
+            look_step_rad=math.radians(mission.heading_step_deg),
+        )
+        command = Command()
+        while (frame := self._capture(command)) is not None:
+            step = surveyor.advance(frame)
+            if step is None:
+                self._take(frame, command)
+                break
+            self._take(replace(frame, at_stop=step.at_stop), command)
+            self._tell_state(frame, step.state, step.detail, step.target_xy)
+            if step.state == "done":
+                break
+            command = step.command
+        for name in surveyor.skipped:
+            self._skip("mission", f"stop {name} could not be reached", f"stop {name}")
+        self._skipped_stops += surveyor.skipped
+
+    def _seek(self) -> None:
+        built = self._built
+        seeker = Seeker(
+            llm=built["llm"].plugin,
+            grounding=built["grounding"].plugin,
+            navigation=built["navigation"].plugin,
+            names={kind: built[kind].registration.id for kind in ("llm", "grounding", "navigation")},
+            graph=self.graph,
+            pipeline=self._pipeline,
+            guard=self._guard,
+            bus=self._bus,
+            advance=self._advance,
+            max_frames=self._config.mission.max_frames,
+        )
+        frame = self._frame or self._advance(Command())
+        for goal in self._config.mission.goals:
+            if frame is None:
+                raise InputError(f"source {self._info.name} gave no frame", key="source")
+            ended, frame = seeker.seek(len(self._episodes), goal, frame)
+            self._episodes.append(ended)
+
+    def _advance(self, command: Command) -> Frame | None:
+        frame = self._capture(command)
+        if frame is not None:
+            self._take(frame, command)
+        return frame
+
+    def _capture(self, command: Command | None) -> Frame | None:
+        """The next frame of the source; None at the end of the visit or of the frame budget."""
+        budget = self._config.mission.max_frames
+        if self._pipeline.tally.frames >= budget:
+            self._skip("mission", f"mission.max_frames ({budget}) is used up", f"the rest of visit {self._visit}")
+            return None
+        name = self._built["source"].registration.id
+        with self._pipeline.stage("source"):
+            frame: Frame | None = self._guard.must(
+                name,
+                "step",
+                lambda: self._source.step(command),
+                check=lambda value: checks.check_frame(self._info, value),
+            )
+        return frame
+
+    def _take(self, frame: Frame, command: Command | None) -> None:
+        if self._frame is not None and self._frame.visit == frame.visit:
+            step = frame.world_from_base[:2, 3] - self._frame.world_from_base[:2, 3]
+            self._distance += float(math.hypot(*step))
+        self._frame = frame
+        self._pipeline.process(frame, command, self._source.collisions())
+
+    def _tell_state(self, frame: Frame, state: str, detail: str, target_xy: tuple[float, float]) -> None:
+        if (state, detail) != self._phase_state:
+            self._phase_state = (state, detail)
+            self._bus.tell(NavigationChanged(frame.index, frame.sim_time, state, detail, target_xy=target_xy))
+
+    def _skip(self, who: str, message: str, skipped: str) -> None:
+        frame = self._frame
+        self._bus.tell(
+            ErrorOccurred(frame.index if frame else -1, frame.sim_time if frame else 0.0, who, message, skipped)
+        )
+
+    # Summing up
+
+    def _summary(self) -> dict[str, Any]:
+        tally, objects = self._pipeline.tally, self.graph.objects.values()
+        believed = sum(node.status == BELIEVED for node in objects)
+        return {
+            "name": self._config.name,
+            "run_id": self._run_id,
+            "seed": self._config.seed,
+            "source": self._info.name,
+            "scene": self._info.scene,
+            "notes": [str(self._info.facts[key]) for key in ("furniture", "renderer") if key in self._info.facts],
+            "frames": tally.frames,
+            "key_frames": tally.key_frames,
+            "objects": believed,
+            "tentative": len(objects) - believed,
+            "waypoints": len(self.graph.waypoints),
+            "viewpoints": len(self.graph.viewpoints),
+            "changes": dict(sorted(tally.changes.items())),
+            "dropped_detections": dict(sorted(tally.dropped.items())),
+            "episodes": [
+                {"goal": e.goal, "outcome": e.outcome, "reason": e.reason} for e in self._episodes
+            ],
+            "errors": self._bus.errors,
+            "collisions": self._source.collisions(),
+            "skipped_stops": list(self._skipped_stops),
+            "distance_m": round(self._distance, 2),
+            "sim_seconds": round(self._frame.sim_time, 3) if self._frame else 0.0,
+            "seconds": {
+                **{name: round(value, 3) for name, value in tally.seconds.items()},
+                "total": round(perf_counter() - self._started, 3),
+            },
+        }
+
+
+def new_run_id(config: RunConfig) -> str:
+    """`<time>-<name>`, with a number where files of that stem are already there."""
+    directory = Path(config.recording.directory)
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{config.name}"
+    candidate, number = stem, 1
+    while any(directory.glob(f"{candidate}.*")):
+        number += 1
+        candidate = f"{stem}-{number}"
+    return candidate
+
+
+def installed_versions() -> Mapping[str, str]:
+    """Versions of this package, Python and the packages that results depend on."""
+    versions = {"dssmsg": __version__, "python": platform.python_version()}
+    for package in VERSIONED:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions

@@ -1,0 +1,204 @@
+"""The scene graph as Rerun archetypes: pure functions from a graph view to what the viewer draws.
+
+Whatever there is many of goes into one batch an entity: hundreds of entities slow the viewer down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from dssmsg.frame import FloatArray
+from dssmsg.graph.nodes import BELIEVED, NEAR, PATH, SEES, Edge, ObjectNode
+from dssmsg.graph.view import GraphView
+from dssmsg.recording import palette
+
+LABELS_UP_TO = 100
+"""Above this many nodes, labels hide what they name."""
+
+GRAPH_SCALE = 160.0
+"""Graph-view units a metre: the graph is drawn as a floor plan seen from above."""
+
+SURFACE_POINTS = 40_000
+"""At most this many points show the surfaces of all objects together."""
+
+_Points = NDArray[np.float32]
+
+
+def objects_look(graph: GraphView) -> rr.Boxes3D:
+    """A box an object, coloured by dynamic state, dim while tentative; labels are in `in_view_look`."""
+    nodes = list(graph.objects.values())
+    centers, half_sizes = _boxes(nodes)
+    return rr.Boxes3D(
+        centers=centers,
+        half_sizes=half_sizes,
+        class_ids=[palette.object_class(node) for node in nodes],
+        labels=[f"{node.id} {node.label}" for node in nodes],
+        show_labels=False,
+        radii=[rr.Radius.ui_points(1.6 if node.status == BELIEVED else 0.7) for node in nodes],
+    )
+
+
+def labels_look(graph: GraphView) -> rr.Points3D:
+    """A label above every believed object, as long as there are few enough to be read."""
+    nodes = [node for node in graph.objects.values() if node.status == BELIEVED]
+    centers, half_sizes = _boxes(nodes)
+    tops = centers + half_sizes * np.array([0.0, 0.0, 1.0], dtype=np.float32)
+    return rr.Points3D(
+        tops,
+        class_ids=[palette.object_class(node) for node in nodes],
+        labels=[node.label for node in nodes],
+        show_labels=len(nodes) <= LABELS_UP_TO,
+        radii=rr.Radius.ui_points(1.0),
+    )
+
+
+def history_look(graph: GraphView) -> rr.Boxes3D:
+    """A box a former place, labelled with the object that was there."""
+    places = list(graph.history.values())
+    lows = np.array([place.box_min for place in places], dtype=np.float32).reshape(-1, 3)
+    highs = np.array([place.box_max for place in places], dtype=np.float32).reshape(-1, 3)
+    return rr.Boxes3D(
+        centers=(lows + highs) / 2,
+        half_sizes=(highs - lows) / 2,
+        class_ids=[palette.OBJECT_CLASSES["history"][0]] * len(places),
+        labels=[f"{place.label} (was {place.object_id})" for place in places],
+        show_labels=len(places) <= LABELS_UP_TO,
+        radii=rr.Radius.ui_points(1.0),
+    )
+
+
+def waypoints_look(graph: GraphView) -> rr.Points3D:
+    """A dot a waypoint, on the floor."""
+    nodes = list(graph.waypoints.values())
+    return rr.Points3D(
+        np.array([node.position for node in nodes], dtype=np.float32).reshape(-1, 3),
+        colors=palette.WAYPOINT_COLOUR,
+        radii=rr.Radius.ui_points(5.0),
+        labels=[node.id.removeprefix("waypoint-") for node in nodes],
+        show_labels=len(nodes) <= LABELS_UP_TO,
+    )
+
+
+def viewpoints_look(graph: GraphView) -> rr.Arrows3D:
+    """A short arrow a viewpoint, where the camera stood and looked."""
+    poses = np.array([node.world_from_camera for node in graph.viewpoints.values()]).reshape(-1, 4, 4)
+    return rr.Arrows3D(
+        origins=poses[:, :3, 3],
+        vectors=0.25 * poses[:, :3, 2],
+        colors=palette.VIEWPOINT_COLOUR,
+        radii=rr.Radius.ui_points(1.2),
+        labels=list(graph.viewpoints),
+        show_labels=False,
+    )
+
+
+def edges_looks(graph: GraphView) -> dict[str, rr.LineStrips3D]:
+    """Line segments of every edge kind; blocked path edges are a kind of their own."""
+    segments: dict[str, list[tuple[FloatArray, FloatArray]]] = {kind: [] for kind in palette.EDGE_COLOURS}
+    names: dict[str, list[str]] = {kind: [] for kind in palette.EDGE_COLOURS}
+    for edge in graph.edges.values():
+        ends = (place(graph, edge.source), place(graph, edge.target))
+        if ends[0] is None or ends[1] is None:
+            continue
+        kind = "blocked" if edge.attributes.get("blocked") else edge.kind
+        segments[kind].append((ends[0], ends[1]))
+        names[kind].append(f"{edge.source} {edge.attributes.get('relation', edge.kind)} {edge.target}")
+    widths = {PATH: 3.0, "blocked": 3.0, NEAR: 1.2, SEES: 0.5}
+    return {
+        kind: rr.LineStrips3D(
+            np.array(strips, dtype=np.float32).reshape(-1, 2, 3),
+            colors=palette.EDGE_COLOURS[kind],
+            radii=rr.Radius.ui_points(widths[kind]),
+            labels=names[kind],
+            show_labels=False,
+        )
+        for kind, strips in segments.items()
+    }
+
+
+def place(graph: GraphView, node_id: str) -> FloatArray | None:
+    """Where a node of any kind is (3,), world metres; None if the graph has no such node."""
+    if (thing := graph.objects.get(node_id)) is not None:
+        return thing.center
+    if (waypoint := graph.waypoints.get(node_id)) is not None:
+        return waypoint.position
+    if (viewpoint := graph.viewpoints.get(node_id)) is not None:
+        return viewpoint.world_from_camera[:3, 3]
+    return None
+
+
+def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdges]]:
+    """The graph views: `all`, and one an edge kind. An edge finds only nodes of its own entity."""
+    edges: dict[str, dict[tuple[str, str], Edge]] = {PATH: {}, SEES: {}, NEAR: {}}
+    for edge in graph.edges.values():
+        source = edge.source
+        if edge.kind == SEES:  # drawn from the waypoint: its viewpoints stand in one place
+            viewpoint = graph.viewpoints.get(source)
+            if viewpoint is None:
+                continue
+            source = viewpoint.waypoint_id
+        edges[edge.kind].setdefault((source, edge.target), edge)
+    believed = [node for node in graph.objects.values() if node.status == BELIEVED]
+    shown = {node.id for node in believed} | set(graph.waypoints)
+    kept = {
+        kind: [pair for pair in pairs if pair[0] in shown and pair[1] in shown] for kind, pairs in edges.items()
+    }
+    waypoints = list(graph.waypoints)
+    things = [node.id for node in believed]
+    return {
+        "all": _graph_look(graph, waypoints + things, kept[PATH] + kept[NEAR] + kept[SEES]),
+        PATH: _graph_look(graph, waypoints, kept[PATH]),
+        SEES: _graph_look(graph, waypoints + things, kept[SEES]),
+        NEAR: _graph_look(graph, things, kept[NEAR]),
+    }
+
+
+def _graph_look(
+    graph: GraphView, ids: Sequence[str], pairs: Sequence[tuple[str, str]]
+) -> list[rr.GraphNodes | rr.GraphEdges]:
+    positions = np.zeros((len(ids), 2), dtype=np.float32)
+    labels: list[str] = []
+    colours: list[palette.Colour] = []
+    by_class = {number: colour for number, _, colour in palette.OBJECT_CLASSES.values()}
+    for row, node_id in enumerate(ids):
+        spot = place(graph, node_id)
+        assert spot is not None  # ids come from the graph itself
+        positions[row] = spot[0] * GRAPH_SCALE, -spot[1] * GRAPH_SCALE  # the view's y axis points down
+        thing = graph.objects.get(node_id)
+        labels.append(node_id.replace("waypoint-", "w") if thing is None else thing.label)
+        colours.append(palette.WAYPOINT_COLOUR if thing is None else by_class[palette.object_class(thing)])
+    return [
+        rr.GraphNodes(
+            ids, positions=positions, labels=labels, colors=colours, show_labels=len(ids) <= LABELS_UP_TO
+        ),
+        rr.GraphEdges(list(pairs), graph_type="undirected"),
+    ]
+
+
+def surface_look(graph: GraphView) -> rr.Points3D:
+    """The objects' surfaces in their own colours, thinned evenly to `SURFACE_POINTS`."""
+    nodes = [node for node in graph.objects.values() if node.status == BELIEVED and len(node.points)]
+    total = sum(len(node.points) for node in nodes)
+    stride = max(1, -(-total // SURFACE_POINTS))
+    if not nodes:
+        return rr.Points3D(np.zeros((0, 3), dtype=np.float32))
+    return rr.Points3D(
+        np.concatenate([node.points[::stride] for node in nodes]),
+        colors=np.concatenate([node.colors[::stride] for node in nodes]),
+        radii=0.012,
+    )
+
+
+def _boxes(nodes: Iterable[ObjectNode]) -> tuple[_Points, _Points]:
+    lows: list[FloatArray] = []
+    highs: list[FloatArray] = []
+    for node in nodes:
+        lows.append(node.box_min)
+        highs.append(node.box_max)
+    low = np.array(lows, dtype=np.float32).reshape(-1, 3)
+    high = np.array(highs, dtype=np.float32).reshape(-1, 3)
+    return (low + high) / 2, (high - low) / 2

@@ -1,0 +1,155 @@
+"""source `pybullet`: a LoCoBot with an RGB-D camera in a simulated, furnished home."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
+
+from dssmsg.frame import Camera, Frame
+from dssmsg.hookspecs import PluginConfig, Register, hookimpl
+from dssmsg.interfaces.source import Command, SourceInfo
+
+if TYPE_CHECKING:
+    from dssmsg.interfaces import Context
+
+HORIZONTAL_FOV_RAD = math.radians(69.4)  # RealSense D435, colour
+
+
+class Config(PluginConfig):
+    """Options of the simulated source."""
+
+    scene: str = Field(
+        default="rs_int",
+        description="rs_int, ihlen_1_int, generated:<seed>, or a scene YAML (relative to the configuration file)",
+    )
+    assets: Literal["auto", "real", "embedded"] = Field(
+        default="auto", description="furniture: the real models where installed, or the embedded ones"
+    )
+    renderer: Literal["auto", "raycast", "tiny"] = Field(
+        default="auto", description="camera: Open3D ray casting, or pybullet's TinyRenderer"
+    )
+    noise: Literal["none", "realistic"] | dict[str, float] = Field(
+        default="realistic", description="sensor model: a preset, or a mapping of its options"
+    )
+    width: int = Field(default=320, ge=32, le=1920, description="image width, pixels")
+    height: int = Field(default=240, ge=32, le=1080, description="image height, pixels")
+    camera_height: float = Field(
+        default=0.88, ge=0.2, le=2.0, description="camera above the floor, metres (0.591 on the real LoCoBot)"
+    )
+    camera_forward: float = Field(
+        default=0.0, ge=-0.15, le=0.15, description="camera ahead of the turning axis, metres (0.047 on the real one)"
+    )
+    rate_hz: float = Field(default=5.0, ge=1.0, le=30.0, description="camera frames a second of sim time")
+    changes: Literal["script", "none"] = Field(
+        default="script", description="whether the scene's scripted changes happen"
+    )
+    visits: int = Field(default=2, ge=1, le=20, description="passes through the scene")
+
+
+class SimulatedSource:
+    """Drives the scene's robot and gives a frame at the end of each camera period."""
+
+    def __init__(self, config: Config, context: Context) -> None:
+        from dssmsg.sim.camera import make_renderer
+        from dssmsg.sim.furniture import FurnitureLibrary
+        from dssmsg.sim.noise import make_noise
+        from dssmsg.sim.robot import RobotSpec
+        from dssmsg.sim.scene import load_scene
+        from dssmsg.sim.tour import check_tour, tour_of
+        from dssmsg.sim.world import World
+
+        scene = load_scene(config.scene, base_dir=context.base_dir)
+        library = FurnitureLibrary.open(config.assets)
+        self._noise = make_noise(config.noise)
+        renderer, renderer_note = make_renderer(config.renderer)
+        spec = RobotSpec(camera_height=config.camera_height, camera_forward=config.camera_forward)
+        self._world = World(scene, library, renderer, robot=spec, scripted=config.changes == "script")
+        check_tour(scene, self._world.layout, self._world.placer, config.visits)
+        self._rng = context.rng
+        self._index = 0
+        self._period = 1.0 / config.rate_hz
+        pieces = self._world.pieces.values()
+        self._info = SourceInfo(
+            name="pybullet",
+            camera=Camera.from_fov(config.width, config.height, HORIZONTAL_FOV_RAD),
+            drivable=True,
+            has_truth=True,
+            visits=config.visits,
+            rate_hz=config.rate_hz,
+            scene=scene.name,
+            tours=tuple(tour_of(scene, visit) for visit in range(config.visits)),
+            credits=library.credits([piece.model for piece in pieces]),
+            depth_noise_m=self._noise.depth_sigma,
+            facts={
+                "scene": scene.name,
+                "rooms": len(scene.rooms),
+                "pieces": len(pieces),
+                "furniture": library.note,
+                "renderer": renderer_note,
+                "changes": len(scene.changes) if config.changes == "script" else 0,
+            },
+        )
+        self._put_at_start()
+
+    @property
+    def info(self) -> SourceInfo:
+        """What this source is."""
+        return self._info
+
+    def start_visit(self, visit: int) -> None:
+        """Begin a pass; changes scripted before it are made, the robot stays where it is."""
+        self._world.start_visit(visit)
+
+    def step(self, command: Command | None) -> Frame:
+        """One camera period of a command (None: stand still), then a frame."""
+        world = self._world
+        world.step(command or Command(), self._period)
+        render, truth = world.look(self._info.camera)
+        rgb, depth = self._noise.apply(render, self._rng)
+        frame = Frame(
+            index=self._index,
+            sim_time=world.sim_time,
+            rgb=rgb,
+            depth=depth,
+            camera=self._info.camera,
+            world_from_camera=world.robot.world_from_camera,
+            world_from_base=world.robot.world_from_base,
+            visit=max(world.visit, 0),
+            truth=truth,
+        )
+        self._index += 1
+        return frame
+
+    def collisions(self) -> int:
+        """Control steps of 0.1 s so far in which the robot touched anything but the floor."""
+        return self._world.collisions
+
+    def close(self) -> None:
+        """Release the world."""
+        self._world.close()
+
+    def _put_at_start(self) -> None:
+        """Stand at the first stop, looking at its first view; without a tour in the middle of the first room."""
+        scene, tours = self._world.scene, self._info.tours
+        if tours[0]:
+            first = tours[0][0]
+            self._world.robot.place(first.x, first.y, first.views[0][0])
+        else:
+            self._world.robot.place(*scene.rooms[0].center, 0.0)
+
+
+def make_source(config: Config, context: Context) -> SimulatedSource:
+    """Build the source; errors name the key of `source` or the scene file."""
+    return SimulatedSource(config, context)
+
+
+@hookimpl
+def register_source(register: Register) -> None:
+    """Announce `pybullet`."""
+    register("pybullet", make_source, config=Config)
+
+
+__all__ = ["Config", "SimulatedSource", "make_source", "register_source"]
