@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dssmsg.events import Candidate, WindowEvaluated
-from dssmsg.frame import Detection, Float32Array, Frame, MaskArray, Observation
+from dssmsg.frame import Detection, Float32Array, Frame, MaskArray, Observation, depth_from_millimetres
 from dssmsg.graph.changes import CHANGE_TYPES, Change
 from dssmsg.graph.view import GraphView
 from dssmsg.interfaces import Answer, Box, Command, Finding, SourceInfo, Step, UpdateResult
@@ -28,7 +28,7 @@ class CheckFailed(ValueError):
 
 
 def check_frame(frame: Any, info: SourceInfo, previous: Frame | None = None) -> Frame | None:
-    """A frame of a source, or None for the end: the announced size, a rigid pose, order, whole millimetres."""
+    """A frame of a source, or None for the end: announced size, rigid poses, order, whole millimetres."""
     if frame is None:
         return None
     _expect(frame, Frame, "a Frame or None")
@@ -43,18 +43,16 @@ def check_frame(frame: Any, info: SourceInfo, previous: Frame | None = None) -> 
         raise CheckFailed(f"expected a frame index above {previous.index}, got {frame.index}")
     if previous is not None and frame.sim_time < previous.sim_time:
         raise CheckFailed(
-            f"frame {frame.index}: sim_time runs backwards, {previous.sim_time} to {frame.sim_time}"
+            f"frame {frame.index}: sim_time goes back from {previous.sim_time} to {frame.sim_time}"
         )
-    millimetres = frame.depth * np.float32(1000.0)
-    if frame.depth.min(initial=0.0) < 0 or np.abs(millimetres - np.rint(millimetres)).max(initial=0.0) > 0.02:
-        raise CheckFailed(
-            f"frame {frame.index}: depth is not in whole millimetres (see frame.quantise_depth)"
-        )
+    millimetres = np.rint(np.clip(frame.depth * np.float32(1000.0), 0, 65535)).astype(np.uint16)
+    if not np.array_equal(depth_from_millimetres(millimetres), frame.depth):
+        raise CheckFailed(f"frame {frame.index}: depth is not in whole millimetres, see quantise_depth")
     if frame.truth is not None and frame.truth.instance_ids.shape != size:
         raise CheckFailed(
             f"frame {frame.index}: truth.instance_ids: expected {size}, got {frame.truth.instance_ids.shape}"
         )
-    return frame
+    return frame  # type: ignore[no-any-return]
 
 
 def check_detections(frame: Frame, value: Any) -> tuple[Detection, ...]:
@@ -101,7 +99,7 @@ def check_changes(value: Any) -> tuple[Change, ...]:
     for place, change in enumerate(changes):
         if CHANGE_TYPES.get(change.kind) is not type(change):
             raise CheckFailed(
-                f"change {place}: {type(change).__name__} is not a kind of change that the graph knows"
+                f"change {place}: {type(change).__name__} is no kind of change that the graph knows"
             )
         name = f"change {place} ({change.kind})"
         for entry in fields(change):
@@ -126,9 +124,7 @@ def check_candidates(graph: GraphView, value: Any) -> tuple[Candidate, ...]:
     seen: set[str] = set()
     for place, candidate in enumerate(candidates):
         if candidate.viewpoint_id not in graph.viewpoints:
-            raise CheckFailed(
-                f"candidate {place}: there is no viewpoint {candidate.viewpoint_id!r} in the graph"
-            )
+            raise CheckFailed(f"candidate {place}: no viewpoint {candidate.viewpoint_id!r} in the graph")
         if candidate.viewpoint_id in seen:
             raise CheckFailed(f"candidate {place}: {candidate.viewpoint_id} is ranked twice")
         seen.add(candidate.viewpoint_id)

@@ -15,6 +15,7 @@ parts, is settled by exact search in a KD-tree, so that the result equals the de
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +70,8 @@ def density_clusters(
     border = np.flatnonzero(~core)
     if len(border):
         core_indices = np.flatnonzero(core)
-        distance, nearest = _tree(points[core_indices]).query(points[border], distance_upper_bound=eps * (1 + 1e-12))
-        reached = distance <= eps
+        nearest = _nearest_within(points[core_indices], points[border], eps)
+        reached = nearest >= 0
         part[border[reached]] = part[core_indices[nearest[reached]]]
     return _number_by_first(part)
 
@@ -117,16 +118,16 @@ def _join_parts(
     # Most parts touch the largest of their group: one nearest neighbour a point shows it. Only parts that do
     # not, and links among them, need all neighbours.
     main = np.flatnonzero(is_largest[dense])
-    distance, nearest = _tree(points[core_indices[main]]).query(points[core_indices[off]], distance_upper_bound=2 * eps)
-    near = distance <= eps
+    nearest = _nearest_within(points[core_indices[main]], points[core_indices[off]], eps)
+    near = nearest >= 0
     links = np.stack([dense[off[near]], dense[main[nearest[near]]]], axis=1)
     loose = np.ones(len(numbers), dtype=np.bool_)
     loose[links[:, 0]] = False
     far = off[loose[dense[off]]]
     if len(far):
-        hits = _tree(points[core_indices[off]]).query_ball_point(points[core_indices[far]], eps)
-        lengths = np.fromiter((len(h) for h in hits), dtype=np.int64, count=len(hits))
-        others = off[np.concatenate([np.asarray(h, dtype=np.int64) for h in hits])]
+        found: Any = _tree(points[core_indices[off]]).query_ball_point(points[core_indices[far]], eps)
+        lengths = [len(hits) for hits in found]
+        others = off[np.concatenate([np.asarray(hits, dtype=np.int64) for hits in found])]
         links = np.concatenate([links, np.stack([dense[np.repeat(far, lengths)], dense[others]], axis=1)])
     joined[core] = _components(len(numbers), links)[dense]
     return joined
@@ -137,6 +138,13 @@ def _components(nodes: int, links: LabelArray) -> LabelArray:
     graph = coo_array((np.ones(len(links), dtype=np.int8), (links[:, 0], links[:, 1])), shape=(nodes, nodes))
     _, labels = connected_components(graph.tocsr(), directed=False)
     return np.asarray(labels, dtype=np.int64)
+
+
+def _nearest_within(points: FloatArray, asked: FloatArray, eps: float) -> LabelArray:
+    """Index (M,) of the nearest of points (N, 3) to each of `asked` (M, 3), -1 where none is within eps."""
+    # The bound of a query is exclusive, eps is not.
+    distance, nearest = _tree(points).query(asked, distance_upper_bound=float(np.nextafter(eps, np.inf)))
+    return np.where(np.isfinite(distance), nearest, -1).astype(np.int64)
 
 
 def _tree(points: FloatArray) -> KDTree:

@@ -149,7 +149,7 @@ class RunConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str = Field(
-        default="run",
+        default="default",
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$",
         description="Part of the recording's file name: letters, digits, `.`, `_`, `-`.",
     )
@@ -217,6 +217,12 @@ class RunConfig(BaseModel):
                 error.file = origin(self._layers, error.key)
             raise
 
+    def with_defaults(self, data: Mapping[str, Any]) -> RunConfig:
+        """The same configuration with `data` below everything that it says."""
+        config = make_config([Layer("the defaults", data), *self._layers], file=self._file)
+        config._base_dir = self._base_dir
+        return config
+
     def resolved(self) -> dict[str, Any]:
         """The configuration as plain values, in the order of the YAML; loads back to an equal one."""
         values = self.model_dump(mode="json")
@@ -251,12 +257,15 @@ def load_config(
     path: Path | None = None,
     *,
     sets: Sequence[str] = (),
+    goals: Sequence[str] = (),
+    seed: int | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> RunConfig:
     """The configuration of a run.
 
     `path` None means `./dssmsg.yaml`, else the packaged file; `environment` None means the process's;
-    `sets` are assignments like `perception.use=oracle`. Raises ConfigError naming file and key.
+    `sets` are assignments like `perception.use=oracle`; `goals` replace the mission's and add the phase seek
+    where it is missing; `seed` replaces the seed. Raises ConfigError naming file and key.
     """
     file = find_file(path)
     layers = file_layers(packaged_file(), label="the packaged dssmsg.yaml")
@@ -264,7 +273,20 @@ def load_config(
         layers += file_layers(file)
     layers += environment_layers(os.environ if environment is None else environment)
     layers += set_layers(sets)
+    if seed is not None:
+        layers.append(Layer("--seed", {"seed": seed}))
+    if goals:
+        layers.append(_goal_layer(merge(layers), goals))
     return make_config(layers, file=file)
+
+
+def _goal_layer(merged: Mapping[str, Any], goals: Sequence[str]) -> Layer:
+    mission = merged.get("mission")
+    phases = mission.get("phases", ()) if isinstance(mission, Mapping) else ()
+    data: dict[str, Any] = {"goals": list(goals)}
+    if isinstance(phases, list) and "seek" not in phases:
+        data["phases"] = [*phases, "seek"]
+    return Layer("--goal", {"mission": data})
 
 
 def make_config(layers: Sequence[Layer], *, file: Path | None = None) -> RunConfig:

@@ -74,10 +74,9 @@ def project(points_camera: ArrayLike, camera: Camera) -> tuple[FloatArray, Float
     points = np.asarray(points_camera, dtype=np.float64)
     z = points[..., 2]
     safe = np.where(z > 0, z, np.nan)
-    uv = np.stack(
-        [points[..., 0] / safe * camera.fx + camera.cx, points[..., 1] / safe * camera.fy + camera.cy], axis=-1
-    )
-    return uv, z
+    u = points[..., 0] / safe * camera.fx + camera.cx
+    v = points[..., 1] / safe * camera.fy + camera.cy
+    return np.stack([u, v], axis=-1), z
 
 
 def depth_sigma(range_m: ArrayLike, noise: tuple[float, float]) -> FloatArray:
@@ -144,9 +143,9 @@ def grow_box(box_min: ArrayLike, box_max: ArrayLike, margin: float) -> tuple[Flo
 
 def box_gaps(a_min: ArrayLike, a_max: ArrayLike, b_min: ArrayLike, b_max: ArrayLike) -> FloatArray:
     """(..., 3) free space between boxes on each axis, 0 where their shadows on that axis touch."""
-    gaps: FloatArray = np.maximum(
-        np.maximum(np.subtract(a_min, b_max, dtype=np.float64), np.subtract(b_min, a_max, dtype=np.float64)), 0.0
-    )
+    below = np.subtract(a_min, b_max, dtype=np.float64)
+    above = np.subtract(b_min, a_max, dtype=np.float64)
+    gaps: FloatArray = np.maximum(np.maximum(below, above), 0.0)
     return gaps
 
 
@@ -196,8 +195,8 @@ def cell_keys(
 ) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
     """One int64 a point (N, 3), equal for points of the same grid cell floor(p / side) and the same group.
 
-    Keys order by group (N,), then x, y, z. The second value is what a step of one cell along x, y, z adds to a
-    key; cells are padded by one on each side, so that such a step never lands in another row or group.
+    Keys order by group (N,), then x, y, z. The second value is what a step of one cell along x, y, z adds to
+    a key; cells are padded by one on each side, so that such a step never lands in another row or group.
     """
     columns = []
     sizes = []

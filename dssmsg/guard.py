@@ -132,15 +132,13 @@ class Guard:
                 return
 
     def _end(self, call: _Call) -> None:
-        error = PluginTimeout(
-            f"{call.what} did not return within {self._timeout_secs:g} s (timeout_secs); the run ends here",
-            plugin=call.plugin,
-        )
+        message = f"{call.what} did not return within {self._timeout_secs:g} s (timeout_secs), the run ends"
+        error = PluginTimeout(message, plugin=call.plugin)
         self.errors[call.plugin] += 1
 
         def save() -> None:
             try:
-                self._report(self._event(call.plugin, error.message, skipped=call.what, fatal=True))
+                self._report(self._event(call.plugin, message, skipped=call.what, fatal=True))
             finally:
                 self._on_hang()
 

@@ -303,13 +303,13 @@ class Host:
         for problem in self._problems:
             if (problem.kind, problem.name) == (kind, name):
                 raise PluginError(
-                    problem.message, plugin=f"{kind}/{name}", file=problem.origin, key=f"{key}.use"
+                    f"{problem.message} ({problem.origin})", plugin=f"{kind}/{name}", key=f"{key}.use"
                 )
         unknown = [one for one in self._problems if not one.name]
         if unknown:
             # Nobody can tell what a file that does not load would have registered.
             raise PluginError(
-                f"is not registered, and {unknown[0].origin} {unknown[0].message}",
+                f"is not registered, and {unknown[0].origin}: {unknown[0].message}",
                 plugin=f"{kind}/{name}",
                 key=f"{key}.use",
             )

@@ -1,8 +1,8 @@
 """From detections to observations in the world: ALGORITHM A.1, after paper III-A.
 
 "2D masks are projected into 3D point clouds using the depth image and camera pose." Ours adds what keeps
-those clouds clean: mask rims on depth steps are left out, points are thinned to voxels, and only the
-largest density cluster stays.
+those clouds clean: mask rims on depth steps are left out, points are thinned to voxels, and only
+dense clusters stay.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from dssmsg.cluster import density_clusters
 from dssmsg.frame import Detection, Float32Array, Frame, MaskArray, Observation
@@ -39,7 +40,10 @@ class Lifter:
     Lengths in metres. `max_range` drops pixels farther along the optical axis; `min_points` is asked of the
     pixels with depth and again of the final voxels' cluster; `voxel` is the side of world-aligned cells
     floor(p / voxel), each represented by the mean of its points; `eps` and `min_neighbours` (the point
-    itself counted) define density clusters; a mask pixel beside a pixel outside the mask counts as rim, and
+    itself counted) define density clusters. Of these the largest is the thing, and so is, beyond the paper, any
+    other of at least `part_share` of its size within `part_gap` of what is kept already: behind a chair a
+    table shows in two parts, and keeping the larger alone makes it two tables once the parts have been the
+    larger in turn (1.0 keeps the largest alone). A mask pixel beside a pixel outside the mask counts as rim, and
     is left out where the two depths differ by more than `step` plus `step_ratio` of the depth.
     """
 
@@ -50,6 +54,8 @@ class Lifter:
         voxel: float = 0.025,
         eps: float = 0.1,
         min_neighbours: int = 10,
+        part_share: float = 0.15,
+        part_gap: float = 0.5,
         step: float = 0.05,
         step_ratio: float = 0.02,
         background_labels: frozenset[str] = BACKGROUND_LABELS,
@@ -59,6 +65,8 @@ class Lifter:
         self.voxel = voxel
         self.eps = eps
         self.min_neighbours = min_neighbours
+        self.part_share = part_share
+        self.part_gap = part_gap
         self.step = step
         self.step_ratio = step_ratio
         self.background_labels = background_labels
@@ -76,7 +84,7 @@ class Lifter:
         for index, detection in enumerate(detections):
             if detection.mask.shape != frame.depth.shape:
                 raise ValueError(
-                    f"detection {index}: expected a mask of shape {frame.depth.shape}, got {detection.mask.shape}"
+                    f"detection {index}: expected a mask {frame.depth.shape}, got {detection.mask.shape}"
                 )
             if detection.label.strip().lower() in self.background_labels:
                 reasons[index] = "background"
@@ -98,7 +106,7 @@ class Lifter:
         pixels: list[NDArray[np.intp]],
         reasons: dict[int, str],
     ) -> list[Observation]:
-        """Voxelise and cluster all detections in one go (few large array operations instead of many small)."""
+        """Voxelise and cluster all detections in one go (few large array operations, not many small)."""
         owner = np.repeat(np.arange(len(chosen)), [len(p) for p in pixels])
         pixel = np.concatenate(pixels)
         depth = frame.depth.reshape(-1)[pixel].astype(np.float64)
@@ -110,8 +118,7 @@ class Lifter:
         ends = np.searchsorted(owner, np.arange(len(chosen) + 1))
         for place, index in enumerate(chosen):
             part = slice(ends[place], ends[place + 1])
-            named = labels[part][labels[part] >= 0]
-            keep = np.flatnonzero(labels[part] == np.bincount(named).argmax()) if len(named) else named
+            keep = self._parts(points[part], labels[part])
             if len(keep) < self.min_points:
                 reasons[index] = "sparse"
                 continue
@@ -134,19 +141,39 @@ class Lifter:
             )
         return observations
 
+    def _parts(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Ascending indices of the largest cluster and of those that count as further parts of the thing."""
+        sizes = np.bincount(labels[labels >= 0])
+        if len(sizes) == 0:
+            return np.zeros(0, dtype=np.intp)
+        by_size = np.argsort(-sizes, kind="stable")
+        kept = np.flatnonzero(labels == by_size[0])
+        least = max(self.part_share * sizes[by_size[0]], self.min_points)
+        for cluster in by_size[1:]:
+            if self.part_share >= 1.0 or sizes[cluster] < least:
+                break
+            part = np.flatnonzero(labels == cluster)
+            gaps, _ = KDTree(points[kept]).query(points[part], distance_upper_bound=self.part_gap)
+            if np.isfinite(gaps).any():
+                kept = np.sort(np.concatenate([kept, part]))
+        return kept
+
 
 def depth_steps(depth: Float32Array, step: float, step_ratio: float) -> tuple[MaskArray, MaskArray]:
     """Where depth (H, W) jumps: between horizontal neighbours (H, W - 1) and vertical ones (H - 1, W), bool.
 
     A jump is more than `step` metres plus `step_ratio` of the nearer depth; no reading counts as depth 0.
     """
-    horizontal = np.abs(depth[:, 1:] - depth[:, :-1]) > step + step_ratio * np.minimum(depth[:, 1:], depth[:, :-1])
-    vertical = np.abs(depth[1:] - depth[:-1]) > step + step_ratio * np.minimum(depth[1:], depth[:-1])
-    return horizontal, vertical
+
+    def jump(a: Float32Array, b: Float32Array) -> MaskArray:
+        far: MaskArray = np.abs(a - b) > step + step_ratio * np.minimum(a, b)
+        return far
+
+    return jump(depth[:, 1:], depth[:, :-1]), jump(depth[1:], depth[:-1])
 
 
 def mask_pixels(mask: MaskArray, readable: MaskArray, steps: tuple[MaskArray, MaskArray]) -> NDArray[np.intp]:
-    """Flat, ascending indices of the mask's readable pixels, without its rim where depth jumps across the rim.
+    """Flat, ascending indices of the mask's readable pixels, without its rim where depth jumps across it.
 
     Sensors mix the depths on both sides of such a step ("flying pixels"), and masks leak over it. Thin
     things are nearly all rim: if less than half would be left, the rim stays.
@@ -173,11 +200,15 @@ def mask_pixels(mask: MaskArray, readable: MaskArray, steps: tuple[MaskArray, Ma
     if 2 * np.count_nonzero(core) >= np.count_nonzero(good):
         good = core
     v, u = np.nonzero(good)
-    return (v + top) * mask.shape[1] + (u + left)
+    flat: NDArray[np.intp] = (v + top) * mask.shape[1] + (u + left)
+    return flat
 
 
 def voxelise(
-    points: NDArray[np.float64], colors: NDArray[np.uint8], voxel: float, owner: NDArray[np.intp] | None = None
+    points: NDArray[np.float64],
+    colors: NDArray[np.uint8],
+    voxel: float,
+    owner: NDArray[np.intp] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.intp]]:
     """Thin points (N, 3) to one a cell floor(p / voxel) of each owner: the mean point and mean colour.
 

@@ -94,10 +94,9 @@ def _score(score: Score) -> Score:
 
 def _check_id(name: str, value: Any, kind: str | None = None) -> None:
     wanted = kind or ("object" if name in ("absorbed_id", "successor_id") else name.removesuffix("_id"))
-    if not isinstance(value, str) or id_order(value)[0] != wanted:
-        raise ValueError(f"{name}: expected an id like {wanted}-1, got {value!r}")
-    if (wanted == "viewpoint") is not ("." in value):
-        raise ValueError(f"{name}: expected an id like {'viewpoint-1.1' if wanted == 'viewpoint' else wanted + '-1'}, got {value!r}")
+    example = "viewpoint-1.1" if wanted == "viewpoint" else f"{wanted}-1"
+    if not (isinstance(value, str) and id_order(value)[0] == wanted and ("." in value) is ("." in example)):
+        raise ValueError(f"{name}: expected an id like {example}, got {value!r}")
 
 
 def _check_clouds(change: Change) -> None:

@@ -18,7 +18,7 @@ from dssmsg.graph.voxels import first_in_voxel, voxel_keys
 
 
 def thinned(points: Float32Array, colors: ByteArray) -> tuple[Float32Array, ByteArray]:
-    """A cloud (N, 3) with its colours (N, 3), at most one point a voxel; the same arrays if it was so already."""
+    """A cloud (N, 3) with its colours (N, 3), at most one point a voxel; the same arrays if it was so."""
     return _picked(points, colors, first_in_voxel(voxel_keys(points)))
 
 
@@ -71,7 +71,8 @@ def averaged(
     length = float(np.sqrt(np.sum(mean * mean)))  # np.sum adds pairwise in a fixed order, BLAS need not
     if length < 1e-9 * (weight + other_weight):
         return feature
-    return _frozen((mean / length).astype(np.float32))
+    unit: Float32Array = _frozen((mean / length).astype(np.float32))
+    return unit
 
 
 def appended(items: tuple[str, ...], more: Iterable[str]) -> tuple[str, ...]:

@@ -48,6 +48,10 @@ class GraphView(Protocol):
         """Edges that touch a node (or a viewpoint), in order of creation."""
         ...
 
+    def history_of(self, object_id: str) -> Iterator[HistoryNode]:
+        """Former places of an object, a removed one included, in order of creation."""
+        ...
+
     def objects_touching(self, box_min: FloatArray, box_max: FloatArray) -> list[str]:
         """Ids of the objects whose box touches a box, by a spatial index, in order of creation (by number)."""
         ...

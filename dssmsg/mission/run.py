@@ -304,11 +304,11 @@ class Mission:
             return None
         name = self._built["source"].registration.id
         with self._pipeline.stage("source"):
-            frame: Frame | None = self._guard.must(
+            frame: Frame | None = self._guard.call(
                 name,
                 "step",
                 lambda: self._source.step(command),
-                check=lambda value: checks.check_frame(self._info, value),
+                check=lambda value: checks.check_frame(value, self._info, self._frame),
             )
         return frame
 

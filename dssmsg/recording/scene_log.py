@@ -11,7 +11,7 @@ from typing import Any
 
 import rerun as rr
 
-from dssmsg.graph.nodes import BELIEVED, SEES
+from dssmsg.graph.nodes import BELIEVED
 from dssmsg.graph.view import GraphView
 from dssmsg.recording import looks, palette, schema
 
@@ -95,4 +95,4 @@ def _edges_signature(graph: GraphView) -> Hashable:
         for node in graph.objects.values()
     }
     edges = tuple((key, bool(edge.attributes.get("blocked"))) for key, edge in graph.edges.items())
-    return hash((tuple(spots.items()), tuple(graph.waypoints), edges)), SEES
+    return hash((tuple(spots.items()), tuple(graph.waypoints), edges))

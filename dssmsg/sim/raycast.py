@@ -188,7 +188,8 @@ class RaycastRenderer:
         if not pixels.size:
             return
         skin = self._surface.skins.take(skin_rows[pixels], axis=0)
-        weights = hits.barycentric[pixels]
+        # A sliver of a triangle can give coordinates that are not numbers; any texel of it will do.
+        weights = np.nan_to_num(hits.barycentric[pixels], nan=0.0, posinf=1.0, neginf=0.0)
         uv = skin[:, 0:2] + weights[:, 0:1] * skin[:, 2:4] + weights[:, 1:2] * skin[:, 4:6]
         coarse = skin[:, 6] + np.log2(np.maximum(hits.t[pixels], np.float32(1e-3)) / np.float32(camera.fx))
         colors[pixels] = self._textures.sample(skin[:, 7].astype(np.int32), uv, coarse).view(np.int32)

@@ -54,9 +54,9 @@ class World:
             self._add_body(piece)
         self.robot = Robot(self._physics, robot or RobotSpec())
         # What the script touches goes into the renderer's small scene, so that a change costs little.
-        self._loose = self._script.touches()
+        self.changing = self._script.touches()
         structure = Instance(0, self.layout.mesh, np.eye(4))
-        fixed = [piece for piece in self.pieces.values() if piece.name not in self._loose]
+        fixed = [piece for piece in self.pieces.values() if piece.name not in self.changing]
         renderer.set_static([structure, *_instances(fixed)])
         self._show_loose()
 
@@ -111,7 +111,7 @@ class World:
             self._bodies[piece.name] = self._physics.add(piece.solid)
 
     def _show_loose(self) -> None:
-        self.renderer.set_movable(_instances(p for p in self.pieces.values() if p.name in self._loose))
+        self.renderer.set_movable(_instances(p for p in self.pieces.values() if p.name in self.changing))
 
 
 def _instances(pieces: Iterable[Placed]) -> list[Instance]:

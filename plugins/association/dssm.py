@@ -2,26 +2,365 @@
 
 One step, one method: candidates by spatial index, score every pair, assign one-to-one, turn the
 assignment into changes, now and then join what was split, and say which objects are believed. The scores
-themselves are in `dssmsg.graph.scoring`.
+themselves are in `dssmsg.graph.scoring`, the merge pass is in `dssmsg.graph.joining`.
+
+It keeps next to nothing of its own: which objects were touched since the last merge pass.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import KDTree
 
 from dssmsg.frame import Frame, Observation
+from dssmsg.geometry import Sight, grow_box, points_in_box, sight_of_points
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectMerged, ObjectsJoined, Score
+from dssmsg.graph.fusion import appended, counted
 from dssmsg.graph.ids import id_order
+from dssmsg.graph.joining import split_objects
 from dssmsg.graph.nodes import BELIEVED, ObjectNode
-from dssmsg.graph.scoring import assign, confidence, neighbour_hits, neighbour_tolerance, semantic_similarity
+from dssmsg.graph.scoring import (
+    assign,
+    confidence,
+    neighbour_share,
+    neighbour_tolerance,
+    sampled_share,
+    semantic_similarity,
+)
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
 PLUGIN = "association/dssm"
+
+
+class DssmConfig(PluginConfig):
+    """Thresholds of the association; symbols as in the paper where it names them."""
+
+    delta_sim: float = Field(
+        1.1, ge=0, le=2, description="delta_sim: below this s = s_geo + s_sem (0..2) it is a new object."
+    )
+    paper_exact: bool = Field(
+        False, description="The paper's literal rule: s alone decides, without the `merge_min_` pair."
+    )
+    merge_min_semantic: float = Field(
+        0.9, ge=0, le=1, description="A merge needs this s_sem, or else `merge_min_overlap`."
+    )
+    merge_min_overlap: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="A merge of unlike labels needs this share of either's points on the other.",
+    )
+    unnamed_labels: tuple[str, ...] = Field(
+        ("object",), description="Labels of class-agnostic perceptions: they say nothing, s_sem is 0.5."
+    )
+    delta_conf: float = Field(
+        0.75,
+        ge=0,
+        le=1,
+        description="delta_conf: believed from 1 - 2^-(votes/min_votes + views/min_views) on.",
+    )
+    min_votes: float = Field(2.0, gt=0, description="Summed scores of the label that halve the doubt once.")
+    min_views: float = Field(2.0, gt=0, description="Distinct viewpoints that halve the doubt once.")
+    merge_every: int = Field(20, ge=1, description="Key frames between two passes that join split objects.")
+    join_containment: float = Field(
+        0.5, ge=0, le=1, description="Share of the smaller object's points on the larger that joins the two."
+    )
+    join_tolerance: float = Field(
+        0.05, gt=0, description="Metres within which a point is on the other object, in the merge pass."
+    )
+    sample: int = Field(
+        512, ge=64, description="Points of a cloud asked for neighbours first; all where a threshold is near."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """The scores of one observation against one object."""
+
+    object_id: str
+    s_geo: float
+    s_sem: float
+    overlap: float | None
+    """Mutual overlap; None where it was not asked for."""
+    allowed: bool
+
+    @property
+    def s(self) -> float:
+        return self.s_geo + self.s_sem
+
+
+@dataclass(frozen=True, slots=True)
+class _Standing:
+    """What speaks for an object: votes label -> summed score, viewpoints; and whether it is believed."""
+
+    votes: Mapping[str, float]
+    viewpoints: tuple[str, ...]
+    believed: bool
+
+    def plus(self, other: _Standing) -> _Standing:
+        """Both together, as one object."""
+        return _Standing(
+            counted(self.votes, other.votes),
+            appended(self.viewpoints, other.viewpoints),
+            self.believed or other.believed,
+        )
+
+
+class DssmAssociation:
+    """Brings the observations of key frames into the graph."""
+
+    def __init__(self, config: DssmConfig, context: Context) -> None:
+        self._config = config
+        self._graph = context.graph
+        self._ids = context.ids
+        self._noise = (0.0, 0.0) if context.source is None else context.source.depth_noise_m
+        self._unnamed = frozenset(config.unnamed_labels)
+        self._key_frames = 0
+        self._touched: set[str] = set()
+
+    def associate(
+        self, frame: Frame, observations: Sequence[Observation], viewpoint_id: str | None
+    ) -> Sequence[Change]:
+        """Joins if a pass is due, one `ObjectAdded` or `ObjectMerged` an observation, then beliefs."""
+        scored = [self._score(frame, observation) for observation in observations]
+        chosen = self._assign(scored)
+        matched = {pair.object_id for pair in chosen if pair is not None}
+        self._key_frames += 1
+        due = self._key_frames % self._config.merge_every == 0
+        joins = self._joins(matched) if due else []
+        into, standings = self._after(joins)
+        changes: list[Change] = [*joins]
+        for observation, pairs, pair in zip(observations, scored, chosen, strict=True):
+            vote = _Standing(
+                {observation.label: observation.score}, () if viewpoint_id is None else (viewpoint_id,), False
+            )
+            if pair is None:
+                added = self._added(observation, pairs, viewpoint_id)
+                standings[added.object_id] = vote
+                changes.append(added)
+                self._touched.add(added.object_id)
+                continue
+            object_id = into.get(pair.object_id, pair.object_id)
+            parts = [pair.object_id, *(part for part, whole in into.items() if whole == object_id), object_id]
+            changes.append(self._merged(observation, pair, object_id, parts, viewpoint_id))
+            known = standings.get(object_id) or _standing(self._graph.objects[object_id])
+            standings[object_id] = known.plus(vote)
+            self._touched.add(object_id)
+        return [*changes, *self._beliefs(standings)]
+
+    def finish(self) -> Sequence[Change]:
+        """A last merge pass; what is not confirmed stays in the graph as tentative."""
+        joins = self._joins(set())
+        _, standings = self._after(joins)
+        return [*joins, *self._beliefs(standings)]
+
+    # -- scores -------------------------------------------------------------------------------------------
+
+    def _score(self, frame: Frame, observation: Observation) -> list[_Pair]:
+        """Scores against every object that the observation's box, grown by the tolerance, touches."""
+        tolerance = neighbour_tolerance(observation.range_m, self._noise)
+        observation_tree: KDTree | None = None
+        pairs = []
+        for object_id in self._graph.objects_touching(
+            *grow_box(observation.box_min, observation.box_max, tolerance)
+        ):
+            node = self._graph.objects[object_id]
+            s_sem = semantic_similarity(
+                observation.label, observation.text_feature, node.label, node.text_feature, self._unnamed
+            )
+            alike = self._config.paper_exact or s_sem >= self._config.merge_min_semantic
+            needed = self._config.delta_sim - s_sem
+            if not alike:
+                needed = max(needed, self._config.merge_min_overlap)
+            s_geo = self._share(observation, node, tolerance, needed)
+            overlap = None
+            if s_geo >= needed and not alike:
+                observation_tree = observation_tree or KDTree(observation.points_world)
+                overlap = min(s_geo, self._covered(frame, node, observation_tree, tolerance))
+            enough = alike or (overlap is not None and overlap >= self._config.merge_min_overlap)
+            pairs.append(_Pair(object_id, s_geo, s_sem, overlap, s_geo >= needed and enough))
+        return pairs
+
+    def _share(self, observation: Observation, node: ObjectNode, tolerance: float, needed: float) -> float:
+        """s_geo, or an upper bound of it that stays below `needed` and so cannot become a merge.
+
+        Points outside the object's box are off it without asking; often that settles it.
+        """
+        points = observation.points_world
+        near = points[points_in_box(points, *grow_box(node.box_min, node.box_max, tolerance))]
+        bound = len(near) / len(points)
+        if bound == 0.0 or bound < needed:
+            return bound
+        share = sampled_share(
+            near, self._graph.tree(node.id), tolerance, self._config.sample, (needed / bound,)
+        )
+        return bound * share
+
+    def _covered(self, frame: Frame, node: ObjectNode, observation_tree: KDTree, tolerance: float) -> float:
+        """Share of the object's points in sight of this frame that lie on the observation.
+
+        Only what this frame shows of the object counts: a close-up of a sofa's arm covers little of the
+        stored sofa, but all of it that is in view. 0 if nothing is.
+        """
+        count = len(node.points)
+        points = node.points
+        if count > self._config.sample:
+            points = points[(np.arange(self._config.sample) * count) // self._config.sample]
+        margin = max(tolerance, 0.05)  # two voxels: stored points are means of their cell
+        sight = sight_of_points(points, frame.depth, frame.camera, frame.world_from_camera, margin)
+        return neighbour_share(points[sight == Sight.ON_SURFACE], observation_tree, tolerance)
+
+    def _assign(self, scored: list[list[_Pair]]) -> list[_Pair | None]:
+        """The pair to merge by for each observation, or None: one-to-one, no object gets two of one frame."""
+        columns = sorted({pair.object_id for pairs in scored for pair in pairs if pair.allowed}, key=id_order)
+        place = {object_id: column for column, object_id in enumerate(columns)}
+        scores = np.zeros((len(scored), len(columns)))
+        allowed = np.zeros(scores.shape, dtype=np.bool_)
+        for row, pairs in enumerate(scored):
+            for pair in pairs:
+                if pair.allowed:
+                    scores[row, place[pair.object_id]] = pair.s
+                    allowed[row, place[pair.object_id]] = True
+        return [
+            None if column < 0 else next(pair for pair in pairs if pair.object_id == columns[column])
+            for pairs, column in zip(scored, assign(scores, allowed, self._config.delta_sim), strict=True)
+        ]
+
+    # -- changes ------------------------------------------------------------------------------------------
+
+    def _added(self, observation: Observation, pairs: list[_Pair], viewpoint_id: str | None) -> ObjectAdded:
+        """A new object, with the scores of the object that came nearest to taking it.
+
+        The rule says why it did not: `new` (s < delta_sim), `new_unlike` (s would do, but neither meaning nor
+        overlap), `new_taken` (another observation of the frame fits that object better).
+        """
+        best = max(pairs, key=lambda pair: (pair.allowed, pair.s), default=None)
+        scores: tuple[Score, ...] = (Score("s", 0.0, self._config.delta_sim),)
+        rule = "new"
+        if best is not None:
+            scores = (*self._scores(best), Score("best_object", float(id_order(best.object_id)[1])))
+            if best.s >= self._config.delta_sim:
+                rule = "new_taken" if best.allowed else "new_unlike"
+        return ObjectAdded(
+            cause=Cause(PLUGIN, rule),
+            scores=scores,
+            object_id=self._ids.new("object"),
+            label=observation.label,
+            score=observation.score,
+            points=observation.points_world,
+            colors=observation.colors,
+            viewpoint_id=viewpoint_id,
+            range_m=observation.range_m,
+            detection=observation.detection_index,
+            text_feature=observation.text_feature,
+            image_feature=observation.image_feature,
+        )
+
+    def _merged(
+        self,
+        observation: Observation,
+        pair: _Pair,
+        object_id: str,
+        parts: Sequence[str],
+        viewpoint_id: str | None,
+    ) -> ObjectMerged:
+        """A merge with only the voxels that none of the object's `parts` (after joins: several) has yet."""
+        novel = np.ones(len(observation.points_world), dtype=np.bool_)
+        for part in dict.fromkeys(parts):
+            novel &= ~self._graph.known_voxels(part, observation.points_world)
+        return ObjectMerged(
+            cause=Cause(PLUGIN, "merge"),
+            scores=self._scores(pair),
+            object_id=object_id,
+            label=observation.label,
+            score=observation.score,
+            points=observation.points_world[novel],
+            colors=observation.colors[novel],
+            viewpoint_id=viewpoint_id,
+            range_m=observation.range_m,
+            detection=observation.detection_index,
+            text_feature=observation.text_feature,
+            image_feature=observation.image_feature,
+        )
+
+    def _scores(self, pair: _Pair) -> tuple[Score, ...]:
+        """Every term of a pair's decision with what it was held against."""
+        exact = self._config.paper_exact
+        terms = [
+            Score("s", pair.s, self._config.delta_sim),
+            Score("s_geo", pair.s_geo),
+            Score("s_sem", pair.s_sem, None if exact else self._config.merge_min_semantic),
+        ]
+        if pair.overlap is not None:
+            terms.append(Score("overlap", pair.overlap, self._config.merge_min_overlap))
+        return tuple(terms)
+
+    def _joins(self, matched: set[str]) -> list[ObjectsJoined]:
+        """The merge pass over what was touched since the last one; `matched` is this frame's objects."""
+        touched = self._touched | matched
+        self._touched = set()
+        found = split_objects(
+            self._graph, touched, matched, self._config.join_containment, self._config.join_tolerance
+        )
+        return [
+            ObjectsJoined(
+                cause=Cause(PLUGIN, "join"),
+                scores=(Score("containment", join.containment, self._config.join_containment),),
+                object_id=join.object_id,
+                absorbed_id=join.absorbed_id,
+            )
+            for join in found
+        ]
+
+    def _after(self, joins: Sequence[ObjectsJoined]) -> tuple[dict[str, str], dict[str, _Standing]]:
+        """Where each absorbed object ends up, and the standings of those that absorbed some."""
+        into: dict[str, str] = {}
+        standings: dict[str, _Standing] = {}
+        for join in joins:
+            keep, lose = join.object_id, join.absorbed_id
+            into = {part: keep if whole == lose else whole for part, whole in into.items()} | {lose: keep}
+            gone = standings.pop(lose, None) or _standing(self._graph.objects[lose])
+            standings[keep] = (standings.get(keep) or _standing(self._graph.objects[keep])).plus(gone)
+            self._touched.add(keep)
+        return into, standings
+
+    def _beliefs(self, standings: Mapping[str, _Standing]) -> list[ObjectChanged]:
+        """`believed` for objects whose confidence reached delta_conf by this frame's votes and views."""
+        changes = []
+        for object_id in sorted(standings, key=id_order):
+            standing = standings[object_id]
+            votes, views = max(standing.votes.values()), len(standing.viewpoints)
+            value = confidence(votes, views, self._config.min_votes, self._config.min_views)
+            if standing.believed or value < self._config.delta_conf:
+                continue
+            changes.append(
+                ObjectChanged(
+                    cause=Cause(PLUGIN, "believe"),
+                    scores=(
+                        Score("confidence", value, self._config.delta_conf),
+                        Score("votes", votes, self._config.min_votes),
+                        Score("views", float(views), self._config.min_views),
+                    ),
+                    object_id=object_id,
+                    values={"status": BELIEVED},
+                )
+            )
+        return changes
+
+
+def _standing(node: ObjectNode) -> _Standing:
+    return _Standing(node.votes, node.viewpoints, node.status == BELIEVED)
+
+
+@hookimpl
+def register_association(register: Register) -> None:
+    """Announce `dssm`."""
+    register("dssm", DssmAssociation, config=DssmConfig)

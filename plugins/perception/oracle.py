@@ -31,14 +31,16 @@ class OracleConfig(PluginConfig):
     max_range: float = Field(5.0, gt=0, description="Farthest median depth to report, in metres.")
     score: float = Field(1.0, gt=0, le=1, description="Score of every detection.")
     miss_rate: float = Field(0.0, ge=0, le=1, description="Share of visible objects left out of a frame.")
-    split_rate: float = Field(0.0, ge=0, le=1, description="Share of masks cut in two across their longer side.")
+    split_rate: float = Field(
+        0.0, ge=0, le=1, description="Share of masks cut in two across their longer side."
+    )
     merge_rate: float = Field(
         0.0, ge=0, le=1, description="Share of masks swallowed by a neighbour that they touch in the image."
     )
     wrong_label_rate: float = Field(0.0, ge=0, le=1, description="Share of detections with a wrong label.")
     confusion: dict[str, list[str]] = Field(
         default_factory=dict,
-        description="Wrong labels to draw from, by true label; without an entry, any other label of the frame's truth.",
+        description="Wrong labels to draw from, by true label; no entry: any other label of the truth.",
     )
     mask_error_px: int = Field(
         0, ge=0, le=20, description="Masks are grown or shrunk by up to this many pixels, drawn a mask."
@@ -66,9 +68,8 @@ class Oracle:
         source = context.source
         if source is None or not source.has_truth:
             name = "none" if source is None else source.name
-            raise ConfigError(
-                f"oracle needs a simulator's truth; source {name} has none; use segments or chain", key="perception.use"
-            )
+            message = f"oracle needs a simulator's truth; source {name} has none; use segments or chain"
+            raise ConfigError(message, key="perception.use")
         self.feature_space: str | None = None if context.encoder is None else context.encoder.space
         self._config = config
         self._encoder = context.encoder

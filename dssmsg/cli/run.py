@@ -1,0 +1,108 @@
+"""`dssmsg run`: configuration -> host -> mission -> summary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dssmsg.cli.output import note, print_json, stdout_to_stderr
+from dssmsg.config import load_config
+from dssmsg.host import Host
+
+if TYPE_CHECKING:
+    from dssmsg.events import Event
+
+PROGRESS = "progress"
+
+
+class _Witness:
+    """An observer that remembers which run it was, for the words after an interruption."""
+
+    def __init__(self) -> None:
+        self.run_id: str | None = None
+
+    def on_event(self, event: Event) -> None:
+        if self.run_id is None:
+            self.run_id = getattr(event, "run_id", None)
+
+    def close(self) -> None:
+        pass
+
+    def outputs(self) -> dict[str, str]:
+        return {}
+
+
+def run_command(
+    path: Path | None,
+    sets: Sequence[str],
+    *,
+    goals: Sequence[str],
+    seed: int | None,
+    view: bool,
+    strict: bool,
+    as_json: bool,
+) -> int:
+    """Run a mission, print its summary, and return the exit code."""
+    witness = _Witness()
+    with stdout_to_stderr():
+        config = load_config(path, sets=sets, goals=goals, seed=seed)
+        with config.naming_files():
+            host = Host.load(config.plugins, config.base_dir)
+        if any(one.name == PROGRESS for one in host.registrations("observer")):
+            config = config.with_defaults({"recording": {"observers": {PROGRESS: {}}}})
+        host.check(config)
+        from dssmsg.mission.run import run_mission
+
+        try:
+            with config.naming_files():
+                result = run_mission(config, host, observers=[("command line", witness)])
+        except KeyboardInterrupt:
+            _say_what_is_kept(witness, Path(config.recording.directory))
+            raise
+    summary = result.summary
+    if as_json:
+        print_json(summary)
+    else:
+        print(summary_text(summary))
+    if view and summary.get("recording"):
+        from dssmsg.cli.recordings import open_viewer
+
+        open_viewer(Path(summary["recording"]))
+    failed = any(episode["outcome"] != "success" for episode in summary["episodes"])
+    if strict and (failed or summary["errors"]):
+        return 1
+    return result.exit_code
+
+
+def _say_what_is_kept(witness: _Witness, directory: Path) -> None:
+    kept = sorted(directory.glob(f"{witness.run_id}*")) if witness.run_id else []
+    if kept:
+        note(f"kept what was recorded so far: {', '.join(map(str, kept))}")
+
+
+def summary_text(summary: Mapping[str, Any]) -> str:
+    """The summary for a reader, one fact a line."""
+    rows = [
+        ("recording", summary.get("recording") or "none (no observer wrote one)"),
+        ("scene", " ".join(str(part) for part in (summary.get("source"), summary.get("scene")) if part)),
+        *(("", one) for one in summary.get("notes", ())),
+        ("seed", summary["seed"]),
+        ("frames", f"{summary['frames']} ({summary.get('key_frames', 0)} key frames)"),
+        ("objects", f"{summary['objects']} ({summary.get('tentative', 0)} more tentative)"),
+        ("waypoints", f"{summary['waypoints']} with {summary.get('viewpoints', 0)} viewpoints"),
+        ("changes", ", ".join(f"{kind} {count}" for kind, count in summary["changes"].items()) or "none"),
+        *(("episode", _episode(one)) for one in summary["episodes"]),
+        ("errors", summary["errors"]),
+    ]
+    if summary.get("collisions"):
+        rows.append(("collisions", summary["collisions"]))
+    if summary.get("skipped_stops"):
+        rows.append(("skipped", ", ".join(summary["skipped_stops"])))
+    rows.append(("seconds", ", ".join(f"{stage} {secs:.1f}" for stage, secs in summary["seconds"].items())))
+    return "\n".join(f"{name:<11}{value}" for name, value in rows)
+
+
+def _episode(episode: Mapping[str, Any]) -> str:
+    reason = f" ({episode['reason']})" if episode.get("reason") else ""
+    return f"{episode['goal']}: {episode['outcome']}{reason}"

@@ -1,0 +1,61 @@
+"""perception `recorded`: the detections that an earlier run recorded for the same frames.
+
+Other methods can so be compared on what one perception saw. Frames that perception did not run on then
+have no detections now; the source must replay the same recording (or the same frame indices).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from dssmsg.errors import InputError
+from dssmsg.frame import Detection, Frame
+from dssmsg.hookspecs import PluginConfig, Register, hookimpl
+
+if TYPE_CHECKING:
+    from dssmsg.interfaces import Context
+
+
+class Config(PluginConfig):
+    """Options of the replayed perception."""
+
+    recording: Path = Field(
+        description="the .rrd file with the detections (relative to the configuration file), or a folder: its newest"
+    )
+
+
+class RecordedPerception:
+    """Gives recorded detections by frame index. Raises InputError if the recording does not read or has none."""
+
+    def __init__(self, config: Config, context: Context) -> None:
+        from dssmsg.recording.reader import Recording, newest
+
+        path = context.base_dir / config.recording
+        self._recording = Recording.open(newest(path) if path.is_dir() else path)
+        if not self._recording.has_detections:
+            raise InputError("holds no detections", file=self._recording.path, key="perception.recording")
+        self.feature_space: str | None = self._recording.facts["feature_space"]
+
+    def detect(self, frame: Frame) -> Sequence[Detection]:
+        """The detections recorded for this frame's index; none where perception did not run.
+
+        Raises ValueError if the frame has another size than the recorded masks.
+        """
+        found = self._recording.detections(frame.index) or []
+        for detection in found:
+            if detection.mask.shape != frame.depth.shape:
+                raise ValueError(
+                    f"recorded masks are {detection.mask.shape}, the frame is {frame.depth.shape}: "
+                    "does the source replay this recording?"
+                )
+        return found
+
+
+@hookimpl
+def register_perception(register: Register) -> None:
+    """Announce `recorded`."""
+    register("recorded", RecordedPerception, config=Config)
