@@ -60,8 +60,10 @@ def hall(library: FurnitureLibrary, count: int, width: float, depth: float, seed
     return instances
 
 
-def views(instances: Sequence[Instance], width: float, depth: float, count: int, seed: int) -> list[FloatArray]:
-    """Poses (4, 4) at the robot's eye height, looking at the middle of the hall, none with its eye in a piece."""
+def views(
+    instances: Sequence[Instance], width: float, depth: float, count: int, seed: int
+) -> list[FloatArray]:
+    """Poses (4, 4) at the robot's eye height, looking at the middle of the hall, none inside a piece."""
     rng = np.random.default_rng(seed)
     boxes = [i.mesh.transformed(i.world_from_object).bounds for i in instances if i.instance_id]
     poses: list[FloatArray] = []
@@ -139,9 +141,13 @@ def agreement(a: Renderer, b: Renderer, poses: Sequence[FloatArray]) -> tuple[fl
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--assets", default="auto", choices=["auto", "real", "embedded"])
-    parser.add_argument("--scene", action="append", help="measure this scene instead of the halls; repeatable")
+    parser.add_argument(
+        "--scene", action="append", help="measure this scene instead of the halls; repeatable"
+    )
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--views", type=int, default=12, help="views to compare with TinyRenderer")
     parser.add_argument("--json", action="store_true")

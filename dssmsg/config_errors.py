@@ -36,7 +36,10 @@ _EXPECTED = {
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """`; did you mean 'oracle'?`, or nothing where no known word is near."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    words = list(known)
+    near = difflib.get_close_matches(word, words, n=1, cutoff=0.6) or [
+        one for one in words if len(word) > 3 and (word in one or one in word)
+    ]
     return f"; did you mean '{near[0]}'?" if near else ""
 
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dssmsg.frame import Detection, Frame, Observation, Truth
 from dssmsg.graph.changes import Change
-from dssmsg.interfaces.source import Command, SourceInfo
+
+if TYPE_CHECKING:  # dssmsg.interfaces imports this module
+    from dssmsg.interfaces.source import Command, SourceInfo
 
 
 @dataclass(frozen=True, slots=True, eq=False)

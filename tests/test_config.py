@@ -212,7 +212,7 @@ def test_cyclic_include_is_refused(tmp_path: Path) -> None:
         ("mission: {phases: [survey, fly]}", "mission.phases[1]", "survey, revisit or seek, got 'fly'"),
         ("mission: {phases: [seek]}", "mission", "goals"),
         ("mission: {speed: 1}", "mission.speed", "did you mean 'linear_speed'"),
-        ("mission: {max_frames: .inf}", "mission.max_frames", "whole number"),
+        ("mission: {max_frames: .inf}", "mission.max_frames", "finite number"),
         ("timeout_secs: .nan", "timeout_secs", "number"),
         ("on_error: ignore", "on_error", "skip or fail"),
         ("recording: {observers: [rerun]}", "recording.observers", "expected a mapping, got a list of 1"),
@@ -297,15 +297,19 @@ def test_empty_file_is_the_default_and_bom_is_fine(tmp_path: Path) -> None:
     assert load(written(tmp_path, "\ufeffseed: 4\n")).seed == 4
 
 
-def test_dates_stay_text_and_exponents_are_numbers() -> None:
-    assert parse_yaml("{a: 2026-01-31, b: 1e-3, c: 1.5E+3, d: 0x10, e: 12:30, f: 1_000, g: .5}") == {
+def test_plain_scalars_are_what_a_user_takes_them_for() -> None:
+    assert parse_yaml(
+        "{a: 2026-01-31, b: 1e-3, c: 1.5E+3, d: 0x10, e: 12:30, f: 1_000, g: .5, h: on, i: 010}"
+    ) == {
         "a": "2026-01-31",
         "b": 0.001,
         "c": 1500.0,
         "d": 16,
-        "e": 750,
+        "e": "12:30",
         "f": 1000,
         "g": 0.5,
+        "h": "on",
+        "i": "010",
     }
 
 

@@ -19,6 +19,7 @@ from dssmsg.graph.errors import GraphError
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.nodes import NEAR, PATH, SEES
 from dssmsg.graph.values import finite, json_value
+from dssmsg.graph.voxels import REACH_M
 
 _FLOATS = frozenset({"sim_time", "range_m", "heading", "tilt"})
 _JSON = frozenset({"before", "after", "values", "attributes"})
@@ -64,6 +65,8 @@ def _canonical(name: str, value: Any) -> Any:
         array = field.frozen(name, value)
         if name in _UNIT and abs(float(np.linalg.norm(array)) - 1.0) > 1e-3:
             raise ValueError(f"{name}: expected a unit vector, its length is {np.linalg.norm(array):.4f}")
+        if name == "points" and array.size and np.abs(array).max() > REACH_M:
+            raise ValueError(f"points: expected metres within 26 km of the origin, got {np.abs(array).max()}")
         return array
     if name in _FLOATS:
         return finite(value, name)

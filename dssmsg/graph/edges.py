@@ -20,7 +20,7 @@ from dssmsg.graph.nodes import NEAR, SEES, Edge, ObjectNode
 from dssmsg.graph.relations import gap, relation
 from dssmsg.graph.view import GraphView
 
-CAUSE = "host/edges"
+CAUSE = "graph/edges"
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ def _spark_dsg(graph: SceneGraph) -> bytes:
 
 
 def _graphml(graph: SceneGraph) -> bytes:
-    """Nodes and viewpoints with their facts, edges with their attributes; lists are spelled x, y, z or joined."""
+    """Nodes and viewpoints with their facts, edges with their attributes, `has` from waypoint to viewpoint."""
     import networkx  # a third of a second, which only this export needs
 
     document = networkx.DiGraph(updates=graph.updates)
@@ -63,7 +63,7 @@ def _graphml(graph: SceneGraph) -> bytes:
 
 
 def _ply(graph: SceneGraph) -> bytes:
-    """The coloured points of all objects, binary; `object` is the number in the id, labels stand in comments."""
+    """The coloured points of all objects, binary; `object` is an id's number, labels stand in comments."""
     header = ["ply", "format binary_little_endian 1.0"]
     clouds = []
     for node in graph.objects.values():
@@ -102,7 +102,7 @@ def _node_tables(graph: SceneGraph) -> Mapping[str, Mapping[str, Any]]:
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """What GraphML can hold: `position` becomes position_0, position_1, ...; texts are joined; None is left out."""
+    """What GraphML can hold: `position` as position_0, position_1, ...; texts joined; None left out."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, list) and all(isinstance(item, str) for item in value):

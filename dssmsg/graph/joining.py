@@ -16,49 +16,49 @@ from dssmsg.graph.view import GraphView
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """`absorbed_id` is part of `object_id`, the older one; containment 0..1 is what joined them."""
+    """`absorbed_id` is part of `object_id`, the older one; `share` 0..1 is what joined them."""
 
     object_id: str
     absorbed_id: str
-    containment: float
+    share: float
 
 
 def split_objects(
-    graph: GraphView, touched: Iterable[str], apart: Iterable[str], min_containment: float, tolerance: float
+    graph: GraphView, touched: Iterable[str], apart: Iterable[str], min_share: float, tolerance: float
 ) -> list[Join]:
-    """Joins among the `touched` objects and what their boxes touch, to be applied in the order given.
+    """Joins among the `touched` objects and what is beside them, to be applied in the order given.
 
-    Two objects join where they have the same label and more than `min_containment` of the smaller cloud's
-    points lie within `tolerance` metres of the larger one, the most contained first. Never two that one frame
+    Two objects join where they have the same label and more than `min_share` of the smaller cloud's points lie
+    within `tolerance` metres of the larger one, the largest share first. Never two that one frame
     saw as different things, be it in the past (a frame gives an object at most one detection, so their
     `frames` then share an index) or, for the objects in `apart`, in the frame at hand.
     """
     pairs = []
-    for first, second in sorted(_near_pairs(graph, touched), key=lambda pair: [id_order(i) for i in pair]):
+    for first, second in sorted(_near_pairs(graph, touched, tolerance), key=lambda pair: [id_order(i) for i in pair]):
         a, b = graph.objects[first], graph.objects[second]
         if a.label != b.label or not set(a.frames).isdisjoint(b.frames):
             continue
         small, large = (a, b) if len(a.points) <= len(b.points) else (b, a)
         # Points outside the larger one's box have no neighbour on it: no need to ask.
         inside = points_in_box(small.points, *grow_box(large.box_min, large.box_max, tolerance))
-        if np.count_nonzero(inside) <= min_containment * len(small.points):
+        if np.count_nonzero(inside) <= min_share * len(small.points):
             continue
         share = neighbour_share(small.points[inside], graph.tree(large.id), tolerance)
-        containment = share * np.count_nonzero(inside) / len(small.points)
-        if containment > min_containment:
-            pairs.append(Join(first, second, float(containment)))
-    pairs.sort(key=lambda join: -join.containment)  # stable: ties stay in order of ids
+        share *= np.count_nonzero(inside) / len(small.points)
+        if share > min_share:
+            pairs.append(Join(first, second, float(share)))
+    pairs.sort(key=lambda join: -join.share)  # stable: ties stay in order of ids
     return _consistent(graph, pairs, apart)
 
 
-def _near_pairs(graph: GraphView, touched: Iterable[str]) -> set[tuple[str, str]]:
-    """Pairs (older, newer) of objects whose boxes touch, at least one of them touched."""
+def _near_pairs(graph: GraphView, touched: Iterable[str], tolerance: float) -> set[tuple[str, str]]:
+    """Pairs (older, newer) of objects with boxes within `tolerance`, at least one of them touched."""
     pairs = set()
     for object_id in touched:
         node = graph.objects.get(object_id)
         if node is None:  # has left the graph since
             continue
-        for other in graph.objects_touching(node.box_min, node.box_max):
+        for other in graph.objects_touching(*grow_box(node.box_min, node.box_max, tolerance)):
             if other != object_id:
                 first, second = sorted((object_id, other), key=id_order)
                 pairs.add((first, second))
@@ -91,5 +91,5 @@ def _consistent(graph: GraphView, pairs: list[Join], apart: Iterable[str]) -> li
         root[lose] = keep
         frames[keep] |= frames.pop(lose)
         members[keep] |= members.pop(lose)
-        joins.append(Join(keep, lose, pair.containment))
+        joins.append(Join(keep, lose, pair.share))
     return joins

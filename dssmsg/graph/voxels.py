@@ -16,6 +16,8 @@ from dssmsg.frame import MaskArray
 VOXEL_M = 0.025
 _BITS = 21  # an axis: three of them fill the 63 value bits of an int64, +-26 km of 0.025 m cells
 _HALF = 1 << (_BITS - 1)
+REACH_M = (_HALF - 1) * VOXEL_M
+"""Coordinates up to this many metres from the origin have a voxel."""
 
 KeyArray = NDArray[np.int64]
 

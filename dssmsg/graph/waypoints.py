@@ -34,7 +34,7 @@ from dssmsg.graph.ids import IdAllocator, id_order
 from dssmsg.graph.nodes import PATH, Viewpoint, WaypointNode
 from dssmsg.graph.view import GraphView
 
-CAUSE = "host/waypoints"
+CAUSE = "graph/waypoints"
 
 
 @dataclass(frozen=True, slots=True)

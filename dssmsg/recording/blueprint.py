@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from dssmsg.errors import ConfigError
+from dssmsg.frame import FloatArray
+from dssmsg.graph.view import GraphView
 from dssmsg.recording import schema
+from dssmsg.recording.looks import place
 
 _ALL_SO_FAR = rrb.VisibleTimeRanges(
     [
@@ -24,8 +31,16 @@ _ALL_SO_FAR = rrb.VisibleTimeRanges(
 """The trail is logged a step at a time; everything up to the cursor is drawn."""
 
 
-def world_view(focus: str | None = None) -> rrb.Spatial3DView:
-    """The scene in 3D; with `focus` (an entity path) the camera follows it."""
+@dataclass(frozen=True)
+class Eye:
+    """Where the 3D view looks from, and at what: (x, y, z) each, world metres."""
+
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+
+
+def world_view(eye: Eye | None = None) -> rrb.Spatial3DView:
+    """The scene in 3D, seen from `eye` at first."""
     return rrb.Spatial3DView(
         origin=schema.WORLD,
         name="Scene",
@@ -42,7 +57,11 @@ def world_view(focus: str | None = None) -> rrb.Spatial3DView:
             schema.TRAIL: [_ALL_SO_FAR],
             f"{schema.EDGES}/sees": [rrb.EntityBehavior(visible=False)],
         },
-        eye_controls=None if focus is None else rrb.EyeControls3D(tracking_entity=focus),
+        eye_controls=None
+        if eye is None
+        else rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
+        ),
     )
 
 
@@ -119,12 +138,12 @@ def log_view() -> rrb.TextLogView:
     )
 
 
-def review_layout(focus: str | None = None) -> rrb.Blueprint:
+def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
     """Scene, images, graph, changes, plots and log side by side: the layout to scrub a run with."""
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                world_view(focus),
+                world_view(eye),
                 rrb.Vertical(rrb.Horizontal(camera_view(), depth_view()), graph_views(), row_shares=[2, 3]),
                 column_shares=[3, 2],
             ),
@@ -139,34 +158,72 @@ def review_layout(focus: str | None = None) -> rrb.Blueprint:
     )
 
 
-def scene_layout(focus: str | None = None) -> rrb.Blueprint:
+def scene_layout(eye: Eye | None = None) -> rrb.Blueprint:
     """The 3D scene, large, beside the camera: for a demonstration."""
     return rrb.Blueprint(
         rrb.Horizontal(
-            world_view(focus), rrb.Vertical(camera_view(), depth_view()), column_shares=[3, 1]
+            world_view(eye), rrb.Vertical(camera_view(), depth_view()), column_shares=[3, 1]
         ),
         *_panels(),
     )
 
 
-def graph_layout(focus: str | None = None) -> rrb.Blueprint:
+def graph_layout(eye: Eye | None = None) -> rrb.Blueprint:
     """The graph views, large, beside their changes."""
     return rrb.Blueprint(
         rrb.Horizontal(
             graph_views(),
-            rrb.Vertical(world_view(focus), rrb.Tabs(change_log_view(), change_table_view())),
+            rrb.Vertical(world_view(eye), rrb.Tabs(change_log_view(), change_table_view())),
             column_shares=[3, 2],
         ),
         *_panels(),
     )
 
 
-LAYOUTS: dict[str, Callable[[str | None], rrb.Blueprint]] = {
+LAYOUTS: dict[str, Callable[[Eye | None], rrb.Blueprint]] = {
     "review": review_layout,
     "scene": scene_layout,
     "graph": graph_layout,
 }
 """Layouts by the name that `dssmsg view --layout` takes."""
+
+
+def save_layout(path: Path, name: str, graph: GraphView, focus: str | None) -> None:
+    """Write the layout of a name as a blueprint file (.rbl): the whole map in view, or the node `focus`.
+
+    Raises ConfigError for an unknown layout, or a node that the graph does not have.
+    """
+    if name not in LAYOUTS:
+        raise ConfigError(f"expected a layout of {', '.join(LAYOUTS)}, got {name!r}", key="--layout")
+    LAYOUTS[name](eye_on(graph, focus)).save(schema.APPLICATION_ID, str(path))
+
+
+def eye_on(graph: GraphView, focus: str | None = None) -> Eye | None:
+    """An eye that sees the whole map from above and aside, or one node from nearby; None for an empty map.
+
+    Raises ConfigError if the graph has no such node.
+    """
+    if focus is not None:
+        spot = place(graph, focus)
+        if spot is None and focus in graph.history:
+            spot = (graph.history[focus].box_min + graph.history[focus].box_max) / 2
+        if spot is None:
+            raise ConfigError(f"the graph has no node {focus!r} at that time", key="--focus")
+        return _eye(spot, 2.5)
+    spots = [node.center for node in graph.objects.values()] + [n.position for n in graph.waypoints.values()]
+    if not spots:
+        return None
+    low, high = np.min(spots, axis=0), np.max(spots, axis=0)
+    return _eye((low + high) / 2, max(3.0, 0.85 * float(np.linalg.norm(high - low))))
+
+
+def _eye(target: FloatArray, distance: float) -> Eye:
+    position = target + distance * np.array([-0.35, -0.6, 0.72])
+    return Eye(_triple(position), _triple(target))
+
+
+def _triple(values: FloatArray) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _panels() -> tuple[rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel]:

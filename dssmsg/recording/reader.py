@@ -39,6 +39,8 @@ class Recording:
 
     def __init__(self, path: Path, file: ChunkFile, complete: bool, folder: Any = None) -> None:
         self.path = path
+        self.readable_path = file.path
+        """The file that other programs can read: `path`, or the repaired copy."""
         self.complete = complete
         """False for a run that was killed, or is not over."""
         self._file = file
@@ -268,6 +270,10 @@ class Recording:
                 break
             graph.apply(change)
         return graph
+
+    def frame_of_update(self, update: int) -> int | None:
+        """The frame in which an update happened; None if there was no such update."""
+        return next((row["frame"] for row in self.change_rows() if row["update"] == update), None)
 
     def frame_at_time(self, sim_time: float) -> int:
         """The last frame at or before a sim time. Raises InputError if the run had not begun."""

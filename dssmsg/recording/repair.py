@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import BinaryIO
 
 from dssmsg.errors import InputError, StorageError
 
@@ -117,6 +118,11 @@ def rerun_program() -> Path:
     return folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
+def viewer_environment() -> dict[str, str]:
+    """Environment variables for Rerun's program: it works for this one, and greets nobody."""
+    return {"RERUN_APP_ONLY": "true"}
+
+
 class _OptimizeError(Exception):
     pass
 
@@ -126,7 +132,13 @@ def _run_optimize(source: Path, target: Path) -> None:
     command = [str(rerun_program()), "rrd", "optimize", str(source), "-o", str(target)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=_OPTIMIZE_TIMEOUT_SECS, stdin=subprocess.DEVNULL
+            command,
+            capture_output=True,
+            text=True,
+            timeout=_OPTIMIZE_TIMEOUT_SECS,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, **viewer_environment()},
+            check=False,
         )
     except subprocess.TimeoutExpired as error:
         raise _OptimizeError(f"no result after {_OPTIMIZE_TIMEOUT_SECS:.0f} s") from error
@@ -135,11 +147,11 @@ def _run_optimize(source: Path, target: Path) -> None:
         raise _OptimizeError(lines[-1].strip() if lines else f"exit code {done.returncode}")
 
 
-def _copy_bytes(source: object, target: object, length: int) -> None:
+def _copy_bytes(source: BinaryIO, target: BinaryIO, length: int) -> None:
     remaining = length
     while remaining:
-        piece = source.read(min(remaining, 1 << 20))  # type: ignore[attr-defined]
+        piece = source.read(min(remaining, 1 << 20))
         if not piece:
             return
-        target.write(piece)  # type: ignore[attr-defined]
+        target.write(piece)
         remaining -= len(piece)

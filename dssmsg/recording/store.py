@@ -24,6 +24,7 @@ class ChunkFile:
     def __init__(self, path: Path, shown_path: Path) -> None:
         from rerun.chunk import RrdReader
 
+        self.path = path
         self._shown_path = shown_path
         try:
             with warnings.catch_warnings():

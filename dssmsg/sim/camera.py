@@ -107,7 +107,9 @@ def make_renderer(name: str = "auto") -> tuple[Renderer, str]:
     an unknown name, or when `raycast` was asked for and Open3D does not load.
     """
     if name not in RENDERERS:
-        raise ConfigError(f"unknown renderer {name!r}; accepted: {', '.join(RENDERERS)}", key="source.renderer")
+        raise ConfigError(
+            f"unknown renderer {name!r}; accepted: {', '.join(RENDERERS)}", key="source.renderer"
+        )
     reason = "" if name == "tiny" else probe_open3d()
     if name == "tiny" or (name == "auto" and reason):
         from dssmsg.sim.tiny import TinyRenderer
@@ -116,7 +118,9 @@ def make_renderer(name: str = "auto") -> tuple[Renderer, str]:
         return TinyRenderer(), f"pybullet TinyRenderer: {why}"
     if reason:
         hint = "accepted here: tiny, or auto; on Debian: apt install libusb-1.0-0 libgl1 libgomp1 libx11-6"
-        raise ConfigError(f"raycast needs Open3D, which does not load ({reason}); {hint}", key="source.renderer")
+        raise ConfigError(
+            f"raycast needs Open3D, which does not load ({reason}); {hint}", key="source.renderer"
+        )
     from dssmsg.sim.raycast import RaycastRenderer
 
     why = "as configured" if name == "raycast" else "Open3D loads"

@@ -47,7 +47,8 @@ class Mesh:
             fix(self, "uv", frozen_array("uv", self.uv, np.float32, (count, 3, 2), finite=True))
             fix(self, "face_texture", frozen_array("face_texture", self.face_texture, np.int32, (count,)))
         images = tuple(
-            frozen_array(f"textures[{i}]", image, np.uint8, (None, None, 3)) for i, image in enumerate(self.textures)
+            frozen_array(f"textures[{i}]", image, np.uint8, (None, None, 3))
+            for i, image in enumerate(self.textures)
         )
         fix(self, "textures", images)
         if count and not (int(self.faces.min()) >= 0 and int(self.faces.max()) < len(self.vertices)):
@@ -142,8 +143,8 @@ def from_triangles(vertices: Any, faces: Any, color: Sequence[int]) -> Mesh:
 
 
 _BOX_FACES = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6],
-     [1, 3, 5], [3, 7, 5]]
+    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2],
+     [2, 4, 6], [1, 3, 5], [3, 7, 5]]
 )  # fmt: skip
 
 

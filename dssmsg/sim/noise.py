@@ -25,21 +25,35 @@ class SensorNoise(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    depth_a: float = Field(0.0, ge=0, le=1, description="depth noise at range 0, standard deviation in metres")
+    depth_a: float = Field(
+        0.0, ge=0, le=1, description="depth noise at range 0, standard deviation in metres"
+    )
     depth_b: float = Field(0.0, ge=0, le=1, description="its growth with the range squared, per metre")
     min_range: float = Field(0.1, ge=0, le=100, description="no depth below this, metres")
     max_range: float = Field(10.0, gt=0, le=65, description="no depth beyond this, metres")
     edge_jump: float = Field(
-        0.0, ge=0, le=10, description="readings go missing where neighbours differ by more than this share; 0 = off"
+        0.0,
+        ge=0,
+        le=10,
+        description="readings go missing where neighbours differ by more than this share; 0 = off",
     )
-    edge_dropout: float = Field(0.0, ge=0, le=1, description="share of the readings at such edges that go missing")
+    edge_dropout: float = Field(
+        0.0, ge=0, le=1, description="share of the readings at such edges that go missing"
+    )
     grazing_cos: float = Field(
-        0.0, ge=0, le=1, description="readings go missing where the cosine of incidence is below this; 0 = off"
+        0.0,
+        ge=0,
+        le=1,
+        description="readings go missing where the cosine of incidence is below this; 0 = off",
     )
-    speckle: float = Field(0.0, ge=0, le=1, description="share of all readings that go missing, in small spots")
+    speckle: float = Field(
+        0.0, ge=0, le=1, description="share of all readings that go missing, in small spots"
+    )
     rgb_noise: float = Field(0.0, ge=0, le=64, description="colour noise, standard deviation in grey levels")
     blur: float = Field(0.0, ge=0, le=5, description="blur of the colour image, standard deviation in pixels")
-    exposure: float = Field(0.0, ge=0, le=1, description="frame-to-frame change of brightness, standard deviation")
+    exposure: float = Field(
+        0.0, ge=0, le=1, description="frame-to-frame change of brightness, standard deviation"
+    )
 
     @property
     def depth_sigma(self) -> tuple[float, float]:
@@ -130,7 +144,9 @@ def make_noise(value: str | SensorNoise | Mapping[str, Any]) -> SensorNoise:
     if isinstance(value, str):
         if value not in PRESETS:
             known = ", ".join(PRESETS)
-            raise ConfigError(f"unknown preset {value!r}; accepted: {known}, or a mapping", key="source.noise")
+            raise ConfigError(
+                f"unknown preset {value!r}; accepted: {known}, or a mapping", key="source.noise"
+            )
         return PRESETS[value]
     try:
         return SensorNoise(**value)

@@ -51,7 +51,7 @@ class _Layer:
     def __init__(self, instances: Sequence[Instance], textures: TextureStore) -> None:
         import open3d as o3d
 
-        self._tensor = o3d.core.Tensor
+        self._tensor: Any = o3d.core.Tensor
         self.boxes = np.array([_world_box(i) for i in instances if len(i.mesh.faces)]).reshape(-1, 8, 3)
         vertices, faces, words, skins = [], [], [], []
         vertex_count = skin_count = 0
@@ -188,8 +188,8 @@ class RaycastRenderer:
         if not pixels.size:
             return
         skin = self._surface.skins.take(skin_rows[pixels], axis=0)
-        # A sliver of a triangle can give coordinates that are not numbers; any texel of it will do.
-        weights = np.nan_to_num(hits.barycentric[pixels], nan=0.0, posinf=1.0, neginf=0.0)
+        # A sliver of a triangle can give coordinates far outside it, or none at all: any texel of it will do.
+        weights = np.fmax(np.fmin(hits.barycentric[pixels], np.float32(1)), np.float32(0))
         uv = skin[:, 0:2] + weights[:, 0:1] * skin[:, 2:4] + weights[:, 1:2] * skin[:, 4:6]
         coarse = skin[:, 6] + np.log2(np.maximum(hits.t[pixels], np.float32(1e-3)) / np.float32(camera.fx))
         colors[pixels] = self._textures.sample(skin[:, 7].astype(np.int32), uv, coarse).view(np.int32)
@@ -232,7 +232,9 @@ def _skin(
 def _world_box(instance: Instance) -> FloatArray:
     """The eight corners (8, 3) of the mesh's box, in the world."""
     low, high = instance.mesh.bounds
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
     pose = instance.world_from_object
     result: NDArray[np.float64] = corners @ pose[:3, :3].T + pose[:3, 3]
     return result

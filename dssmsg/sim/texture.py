@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -39,11 +41,13 @@ class TextureStore:
         if known is not None:
             return known[0]
         width, height = power_of_two(image.shape[1]), power_of_two(image.shape[0])
-        level = image
+        base = image
         if image.shape[:2] != (height, width):
-            resized = Image.fromarray(np.ascontiguousarray(image)).resize((width, height), Image.Resampling.BOX)
-            level = np.asarray(resized)
-        level = level[::-1].astype(np.float32)
+            resized = Image.fromarray(np.ascontiguousarray(image)).resize(
+                (width, height), Image.Resampling.BOX
+            )
+            base = np.asarray(resized)
+        level: NDArray[np.floating[Any]] = base[::-1].astype(np.float32)
         offsets = []
         while True:
             offsets.append(self._length)
@@ -84,7 +88,8 @@ class TextureStore:
         x = np.floor(uv[:, 0] * side_x).astype(np.int32) & (side_x - 1)
         y = np.floor(uv[:, 1] * side_y).astype(np.int32) & (side_y - 1)
         place = self._table.take(texture * self._table.shape[1] + level) + (y << bits_x) + x
-        return self._texels.take(place)
+        words: NDArray[np.uint32] = self._texels.take(place)
+        return words
 
     def _flatten(self) -> None:
         self._texels = np.concatenate(self._chunks)
@@ -92,6 +97,8 @@ class TextureStore:
         levels = max(len(row) for row in self._offsets)
         self._table = np.array([row + [row[-1]] * (levels - len(row)) for row in self._offsets], np.int32)
         self._last = np.array([len(row) - 1 for row in self._offsets], np.int32)
-        self._bits = np.array([[side.bit_length() - 1 for side in sides] for sides in self._sides], np.int32).T
+        self._bits = np.array(
+            [[side.bit_length() - 1 for side in sides] for sides in self._sides], np.int32
+        ).T
         self._bits = np.ascontiguousarray(self._bits)
         self._stale = False

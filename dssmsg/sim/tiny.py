@@ -41,7 +41,9 @@ class TinyRenderer:
         self._bullet: Any = pybullet
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         self._folder = tempfile.TemporaryDirectory(prefix="dssmsg-textures-")
-        self._textures: dict[int, tuple[int, ByteArray]] = {}  # the array is held, so that its id stays its own
+        self._textures: dict[
+            int, tuple[int, ByteArray]
+        ] = {}  # the array is held, so that its id stays its own
         self._static: dict[int, int] = {}
         self._movable: dict[int, int] = {}
 
@@ -98,7 +100,9 @@ class TinyRenderer:
             points = (instance.mesh.vertices @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
             for rows, texture, color in _by_material(instance.mesh):
                 for start in range(0, len(rows), MAX_TRIANGLES):
-                    body = self._body(points, instance.mesh, rows[start : start + MAX_TRIANGLES], texture, color)
+                    body = self._body(
+                        points, instance.mesh, rows[start : start + MAX_TRIANGLES], texture, color
+                    )
                     made[body] = instance.instance_id
         return made
 
@@ -123,7 +127,9 @@ class TinyRenderer:
         )
         body = bullet.createMultiBody(baseVisualShapeIndex=shape, physicsClientId=self._client)
         if texture is not None:
-            bullet.changeVisualShape(body, -1, textureUniqueId=self._texture(texture), physicsClientId=self._client)
+            bullet.changeVisualShape(
+                body, -1, textureUniqueId=self._texture(texture), physicsClientId=self._client
+            )
         return int(body)
 
     def _texture(self, image: ByteArray) -> int:

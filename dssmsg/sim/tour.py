@@ -17,7 +17,8 @@ from dssmsg.sim.solid import Solid
 
 DRIVE_SPEED = 0.5
 TURN_SPEED = 1.2
-FRAMES_A_VIEW = 6
+FLAT_CORNER_RAD = math.radians(25)
+FRAMES_A_VIEW = 4
 KEY_FRAMES_A_VIEW = 3
 
 
@@ -57,10 +58,11 @@ class TourCost:
 
 
 def estimate(tour: Sequence[Stop], rate_hz: float = 5.0) -> TourCost:
-    """The cost of a tour driven at 0.5 m/s and turned at 1.2 rad/s, three key frames a view.
+    """The cost of a tour driven at 0.5 m/s and turned at 1.2 rad/s; a view takes four frames, three of them key.
 
-    Each leg pays half a second for speeding up and braking, each turn a quarter; key frames while
-    driving come each 0.5 m and each 30 degrees (ALGORITHM A.6).
+    The head pans to a view while the base still turns, so only legs pay for turning: a quarter of a
+    second more than the turn, and half a second for speeding up and braking, unless the way goes nearly
+    straight on. Key frames while driving come each 0.5 m and each 30 degrees (ALGORITHM A.6).
     """
     seconds, metres, views, driving_keys = 0.0, 0.0, 0, 0
     heading: float | None = None
@@ -71,22 +73,17 @@ def estimate(tour: Sequence[Stop], rate_hz: float = 5.0) -> TourCost:
                 bearing = math.atan2(corner[1] - place[1], corner[0] - place[0])
                 turn = 0.0 if heading is None else abs(math.remainder(bearing - heading, math.tau))
                 length = math.dist(place, corner)
-                seconds += _turn_seconds(turn) + length / DRIVE_SPEED + 0.5
+                seconds += length / DRIVE_SPEED
+                if turn > FLAT_CORNER_RAD or heading is None:
+                    seconds += turn / TURN_SPEED + 0.75
                 driving_keys += int(length / 0.5) + int(turn / math.radians(30))
                 metres += length
                 heading = bearing
             place = corner
-        for bearing, _ in stop.views:
-            turn = 0.0 if heading is None else abs(math.remainder(bearing - heading, math.tau))
-            seconds += _turn_seconds(turn)
-            heading = bearing
+        heading = stop.views[-1][0] if stop.views else heading
         views += len(stop.views)
     frames = math.ceil(seconds * rate_hz) + FRAMES_A_VIEW * views
     return TourCost(frames, KEY_FRAMES_A_VIEW * views + driving_keys, views, metres)
-
-
-def _turn_seconds(angle: float) -> float:
-    return 0.0 if angle < 1e-6 else angle / TURN_SPEED + 0.25
 
 
 def visit_solids(scene: Scene, layout: Layout, placer: Placer, visit: int) -> tuple[Solid, ...]:

@@ -76,6 +76,15 @@ class DssmConfig(PluginConfig):
     join_tolerance: float = Field(
         0.05, gt=0, description="Metres within which a point is on the other object, in the merge pass."
     )
+    join_contact: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="At the end of a visit this share joins, within `join_contact_tolerance`; 1 turns it off.",
+    )
+    join_contact_tolerance: float = Field(
+        0.1, gt=0, description="Metres within which a point is in contact with the other object (one cluster)."
+    )
     sample: int = Field(
         512, ge=64, description="Points of a cloud asked for neighbours first; all where a threshold is near."
     )
@@ -125,6 +134,7 @@ class DssmAssociation:
         self._unnamed = frozenset(config.unnamed_labels)
         self._key_frames = 0
         self._touched: set[str] = set()
+        self._visited: set[str] = set()
 
     def associate(
         self, frame: Frame, observations: Sequence[Observation], viewpoint_id: str | None
@@ -154,11 +164,17 @@ class DssmAssociation:
             known = standings.get(object_id) or _standing(self._graph.objects[object_id])
             standings[object_id] = known.plus(vote)
             self._touched.add(object_id)
+        self._visited |= self._touched
         return [*changes, *self._beliefs(standings)]
 
     def finish(self) -> Sequence[Change]:
-        """A last merge pass; what is not confirmed stays in the graph as tentative."""
-        joins = self._joins(set())
+        """A merge pass over the visit; what is not confirmed stays in the graph as tentative.
+
+        By now two pieces of one label that touch, of which no frame of the visit saw both, are more likely two
+        sides of one thing (a wardrobe from the left and from the right of the bed) than neighbours: so here
+        contact joins, not containment alone. Containment is the stronger case of contact.
+        """
+        joins = self._joins(set(), at_end=True)
         _, standings = self._after(joins)
         return [*joins, *self._beliefs(standings)]
 
@@ -303,17 +319,26 @@ class DssmAssociation:
             terms.append(Score("overlap", pair.overlap, self._config.merge_min_overlap))
         return tuple(terms)
 
-    def _joins(self, matched: set[str]) -> list[ObjectsJoined]:
-        """The merge pass over what was touched since the last one; `matched` is this frame's objects."""
-        touched = self._touched | matched
+    def _joins(self, matched: set[str], *, at_end: bool = False) -> list[ObjectsJoined]:
+        """The merge pass over what was touched since the last one, at the end of a visit over all of the visit.
+
+        `matched` holds this frame's objects: it saw them as different things.
+        """
+        config = self._config
+        if at_end and config.join_contact < 1.0:
+            rule, touched = "join_contact", self._visited
+            term, least, tolerance = "contact", config.join_contact, config.join_contact_tolerance
+        else:
+            rule, touched = "join", self._touched | matched
+            term, least, tolerance = "containment", config.join_containment, config.join_tolerance
+        found = split_objects(self._graph, touched, matched, least, tolerance)
         self._touched = set()
-        found = split_objects(
-            self._graph, touched, matched, self._config.join_containment, self._config.join_tolerance
-        )
+        if at_end:
+            self._visited = set()
         return [
             ObjectsJoined(
-                cause=Cause(PLUGIN, "join"),
-                scores=(Score("containment", join.containment, self._config.join_containment),),
+                cause=Cause(PLUGIN, rule),
+                scores=(Score(term, join.share, least), Score("tolerance", tolerance)),
                 object_id=join.object_id,
                 absorbed_id=join.absorbed_id,
             )

@@ -157,15 +157,14 @@ def live_sink(log: logging.Logger) -> Any:
     """
     import rerun as rr
 
-    from dssmsg.recording.viewer import free_port, spawn_viewer
+    from dssmsg.recording.viewer import LOOPBACK, Viewer
 
-    port = free_port()
     try:
-        spawn_viewer([], port=port)
+        viewer = Viewer.start([])
     except DssmsgError as error:
         raise ConfigError(f"cannot show the run live: {error.message}", key="recording.observers.rerun.view") from error
-    log.info("the viewer listens on 127.0.0.1:%d", port)
-    return rr.GrpcSink(f"rerun+http://127.0.0.1:{port}/proxy")
+    log.info("the viewer listens on %s:%d", LOOPBACK, viewer.port)
+    return rr.GrpcSink(f"rerun+http://{LOOPBACK}:{viewer.port}/proxy")
 
 
 @hookimpl

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -83,6 +82,7 @@ class SimulatedSource:
             tours=tuple(tour_of(scene, visit) for visit in range(config.visits)),
             credits=library.credits([piece.model for piece in pieces]),
             depth_noise_m=self._noise.depth_sigma,
+            accelerations=(spec.linear_acceleration, spec.angular_acceleration),
             facts={
                 "scene": scene.name,
                 "rooms": len(scene.rooms),

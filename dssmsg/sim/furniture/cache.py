@@ -6,6 +6,7 @@ import os
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,18 +30,20 @@ class MeshCache:
         try:
             with np.load(self.folder / f"{key}.npz", allow_pickle=False) as data:
                 count = int(data["texture_count"])
-                return Mesh(
-                    data["vertices"], data["faces"], data["face_colors"], data["uv"], data["face_texture"],
-                    tuple(data[f"texture_{i}"] for i in range(count)),
-                )  # fmt: skip
+                links = data["face_texture"]
+                uv = np.zeros((len(links), 3, 2), np.float32) if count else None
+                if uv is not None:
+                    uv[links >= 0] = data["uv"]
+                textures = tuple(data[f"texture_{i}"] for i in range(count))
+                return Mesh(data["vertices"], data["faces"], data["face_colors"], uv, links, textures)
         except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
             return None
 
     def store(self, key: str, mesh: Mesh) -> None:
-        """Keep `mesh`, which has uv, under `key`: written beside it first, so readers see all or nothing."""
-        assert mesh.uv is not None
-        arrays = {
-            "vertices": mesh.vertices, "faces": mesh.faces, "face_colors": mesh.face_colors, "uv": mesh.uv,
+        """Keep `mesh` under `key`: written to a file beside it first, so that readers see all or nothing."""
+        uv = np.empty((0, 3, 2), np.float32) if mesh.uv is None else mesh.uv[mesh.face_texture >= 0]
+        arrays: dict[str, Any] = {
+            "vertices": mesh.vertices, "faces": mesh.faces, "face_colors": mesh.face_colors, "uv": uv,
             "face_texture": mesh.face_texture, "texture_count": np.array(len(mesh.textures)),
         }  # fmt: skip
         arrays |= {f"texture_{i}": image for i, image in enumerate(mesh.textures)}

@@ -1,4 +1,4 @@
-"""Sweet Home 3D furniture libraries (`.sh3f`): a zip of a properties file and OBJ models, y up, centimetres."""
+"""Sweet Home 3D furniture libraries (`.sh3f`): a zip of a properties file and OBJ models, y up, cm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dssmsg.sim.furniture.wavefront import read_obj
 from dssmsg.sim.mesh import Mesh
 
 PROPERTIES = "PluginFurnitureCatalog.properties"
-CONVERTER_VERSION = 1
+CONVERTER_VERSION = 2
 """Raised when a conversion gives another mesh for the same file: it is part of the cache key."""
 
 _LINE = re.compile(r"(\w+)#(\d+)\s*[=:]\s*(.*)")
@@ -48,7 +48,9 @@ def read_catalogue(archive: Path) -> dict[str, Entry]:
         with zipfile.ZipFile(archive) as content:
             text = content.read(PROPERTIES).decode("latin-1")
     except (OSError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"expected a .sh3f furniture library, a zip with {PROPERTIES} ({error})", file=archive) from None
+        raise InputError(
+            f"expected a .sh3f furniture library, a zip with {PROPERTIES} ({error})", file=archive
+        ) from None
     rows: dict[int, dict[str, str]] = {}
     licence = "licence not stated"
     for line in text.splitlines():
@@ -62,12 +64,15 @@ def read_catalogue(archive: Path) -> dict[str, Entry]:
         try:
             model = f"{archive.stem}/{row['id'].rsplit('#', 1)[-1]}"
             width, depth, height = (float(row[key]) / 100 for key in ("width", "depth", "height"))
-            rotation = tuple(float(x) for x in row["modelRotation"].split()) if "modelRotation" in row else None
+            rotation = (
+                tuple(float(x) for x in row["modelRotation"].split()) if "modelRotation" in row else None
+            )
             elevation = float(row.get("elevation") or 0) / 100
             member = row["model"].lstrip("/")
         except (KeyError, ValueError):  # one incomplete row must not cost the library
             continue
-        credit = f"{row['name']} by {row.get('creator', 'unknown')} ({archive.stem}), {row.get('license', licence)}"
+        author, terms = row.get("creator", "unknown"), row.get("license", licence)
+        credit = f"{row['name']} by {author} ({archive.stem}), {terms}"
         entries[model] = Entry(
             model, row["name"], archive, member, (width, depth, height), elevation, rotation, credit
         )

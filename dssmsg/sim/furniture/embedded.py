@@ -1,4 +1,4 @@
-"""Furniture made of primitives: the same categories and sizes as the real pieces, from nothing but numbers."""
+"""Furniture made of primitives: the categories and sizes of the real pieces, from nothing but numbers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def _part(text: str, tint: str, where: str, growth: float) -> Mesh:
     except (IndexError, ValueError, KeyError):
         known = ", ".join(_SHAPES)
         raise InputError(
-            f"cannot read the part {text!r}: expected 'shape x y z width depth height RRGGBB', shape one of {known}",
+            f"cannot read the part {text!r}: expected 'shape x y z width depth height RRGGBB', "
+            f"shape one of {known}",
             key=where,
         ) from None
     grown = np.diag([width + growth, depth + growth, height + growth, 1.0])
@@ -46,15 +47,19 @@ def _upright(mesh: Mesh, *, along: int) -> Mesh:
     """A primitive of unit size whose axis z is turned to `along` (0 = x, 1 = y), standing on the origin."""
     order = [2, 0, 1] if along == 0 else [1, 2, 0]
     turned = mesh.vertices[:, order]
-    return Mesh(turned, mesh.faces, mesh.face_colors).moved((0, 0, -float(turned[:, 2].min()))).moved(
-        (-0.5, 0, 0) if along == 0 else (0, -0.5, 0)
+    return (
+        Mesh(turned, mesh.faces, mesh.face_colors)
+        .moved((0, 0, -float(turned[:, 2].min())))
+        .moved((-0.5, 0, 0) if along == 0 else (0, -0.5, 0))
     )
 
 
 def _revolved(profile: Sequence[tuple[float, float]], color: Color, segments: int = 24) -> Mesh:
     """The surface of `profile` (radius, height) turned around z."""
     angle = np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(segments, h)]) for r, h in profile]
+    rings = [
+        np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(segments, h)]) for r, h in profile
+    ]
     i = np.arange(segments)
     j = (i + 1) % segments
     faces = []
@@ -64,7 +69,16 @@ def _revolved(profile: Sequence[tuple[float, float]], color: Color, segments: in
     return from_triangles(np.concatenate(rings), np.concatenate(faces), color)
 
 
-_BOWL = ((0.0, 0.0), (0.25, 0.0), (0.42, 0.4), (0.5, 1.0), (0.45, 1.0), (0.36, 0.45), (0.2, 0.12), (0.0, 0.12))
+_BOWL = (
+    (0.0, 0.0),
+    (0.25, 0.0),
+    (0.42, 0.4),
+    (0.5, 1.0),
+    (0.45, 1.0),
+    (0.36, 0.45),
+    (0.2, 0.12),
+    (0.0, 0.12),
+)
 _RING = ((0.5, 0.0), (0.5, 1.0), (0.41, 1.0), (0.41, 0.0), (0.5, 0.0))
 
 _SHAPES: dict[str, Callable[[Color], Mesh]] = {

@@ -22,7 +22,7 @@ PACKAGE = "sweethome3d-furniture"
 
 
 def furniture_folders() -> tuple[Path, ...]:
-    """Where `.sh3f` libraries are looked for, first match wins: $DSSMSG_FURNITURE, the system, the user's cache.
+    """Where `.sh3f` libraries are looked for, the first wins: $DSSMSG_FURNITURE, the system, the user's cache.
 
     The cache is searched as `dpkg-deb -x` leaves it too, with the package's own folders inside.
     """
@@ -40,7 +40,9 @@ class FurnitureLibrary:
     category without real models (mirrors, dishwashers) is made of primitives in both.
     """
 
-    def __init__(self, kind: str, note: str, entries: Mapping[str, Entry], cache: MeshCache | None = None) -> None:
+    def __init__(
+        self, kind: str, note: str, entries: Mapping[str, Entry], cache: MeshCache | None = None
+    ) -> None:
         self.kind = kind
         self.note = note
         self._entries = entries
@@ -55,7 +57,9 @@ class FurnitureLibrary:
         Raises ConfigError (key source.assets) for another word, or when `real` is not installed.
         """
         if assets not in ASSETS:
-            raise ConfigError(f"unknown assets {assets!r}; accepted: {', '.join(ASSETS)}", key="source.assets")
+            raise ConfigError(
+                f"unknown assets {assets!r}; accepted: {', '.join(ASSETS)}", key="source.assets"
+            )
         if assets == "embedded":
             return cls("embedded", "embedded furniture, as configured", {}, cache)
         entries, folder, problem = _find_entries()
@@ -100,7 +104,9 @@ class FurnitureLibrary:
         mesh, credit = self._mesh(row, piece)
         if any(abs(a - b) > 1e-6 for a, b in zip(extent, piece.size, strict=True)):
             mesh = mesh.scaled_to(extent)
-        return FurnitureModel(row.name, piece.model, mesh, extent, row.label, credit, row.movable, piece.elevation)
+        return FurnitureModel(
+            row.name, piece.model, mesh, extent, row.label, credit, row.movable, piece.elevation
+        )
 
     def credits(self, used: Iterable[FurnitureModel]) -> tuple[str, ...]:
         """One line for each author's model among `used`, sorted, each once."""

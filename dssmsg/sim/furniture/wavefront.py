@@ -16,10 +16,11 @@ import numpy as np
 from PIL import Image
 
 from dssmsg.errors import InputError
-from dssmsg.frame import ByteArray, FloatArray
+from dssmsg.frame import ByteArray, FloatArray, IntArray
 from dssmsg.sim.mesh import Mesh
 from dssmsg.sim.texture import power_of_two
 
+Point = tuple[float, float]
 ReadMember = Callable[[str], bytes | None]
 """Content of an archive member by its path, None where there is none."""
 
@@ -68,8 +69,8 @@ def read_obj(path: str, read: ReadMember) -> Mesh:
     if not corners:
         raise InputError("the model holds no face", file=path)
     return _assemble(
-        np.array(vertices), np.array(corners), np.array(coordinates).reshape(-1, 2), np.array(uv_corners), owners,
-        materials, read, path,
+        np.array(vertices), np.array(corners), np.array(coordinates).reshape(-1, 2), np.array(uv_corners),
+        owners, materials, read, path,
     )  # fmt: skip
 
 
@@ -80,13 +81,19 @@ def triangulate(points: Sequence[int], vertices: Sequence[Sequence[float]]) -> l
         return []
     if count == 3:
         return [(0, 1, 2)]
-    corner = np.array([vertices[i] for i in points])
-    after = np.roll(corner, -1, axis=0)
-    normal = np.cross(corner, after).sum(axis=0)  # Newell: robust for bent polygons too
-    drop = int(np.argmax(np.abs(normal)))
-    flat = np.delete(corner, drop, axis=1)
-    if normal[drop] * (-1 if drop == 1 else 1) < 0:
-        flat = flat * [-1, 1]
+    corner = [vertices[i] for i in points]
+    normal = [0.0, 0.0, 0.0]  # by Newell: robust for bent polygons too
+    for (ax, ay, az), (bx, by, bz) in zip(corner, [*corner[1:], corner[0]], strict=True):
+        normal[0] += (ay - by) * (az + bz)
+        normal[1] += (az - bz) * (ax + bx)
+        normal[2] += (ax - bx) * (ay + by)
+    drop = max(range(3), key=lambda axis: abs(normal[axis]))
+    across, up = ((1, 2), (2, 0), (0, 1))[drop]
+    if normal[drop] < 0:
+        across, up = up, across
+    flat = [(point[across], point[up]) for point in corner]
+    if all(_turn(flat[i - 2], flat[i - 1], flat[i]) >= 0 for i in range(count)):  # convex, as most are
+        return [(0, i, i + 1) for i in range(1, count - 1)]
     left = list(range(count))
     triangles: list[tuple[int, int, int]] = []
     while len(left) > 3:
@@ -103,16 +110,18 @@ def triangulate(points: Sequence[int], vertices: Sequence[Sequence[float]]) -> l
     return [*triangles, (left[0], left[1], left[2])]
 
 
-def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _inside(p: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
+def _inside(p: Point, a: Point, b: Point, c: Point) -> bool:
     return _turn(a, b, p) >= 0 and _turn(b, c, p) >= 0 and _turn(c, a, p) >= 0
 
 
 def _lines(data: bytes) -> list[str]:
-    text = data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").replace("\t", " ")
+    text = (
+        data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").replace("\t", " ")
+    )
     return [line.strip() for line in text.splitlines()]
 
 
@@ -167,7 +176,9 @@ def read_texture(data: bytes | None) -> ByteArray | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of odd palettes, which convert all the same
             image = Image.open(io.BytesIO(data)).convert("RGBA")
-            image = image.resize((power_of_two(image.width), power_of_two(image.height)), Image.Resampling.BOX)
+            image = image.resize(
+                (power_of_two(image.width), power_of_two(image.height)), Image.Resampling.BOX
+            )
     except (OSError, ValueError, SyntaxError):
         return None
     pixels = np.asarray(image)
@@ -207,11 +218,9 @@ def _assemble(
     if not shown.any():
         raise InputError("the model holds no visible face", file=path)
     kept, faces = np.unique(corners[shown], return_inverse=True)
-    return Mesh(
-        vertices[kept].astype(np.float32),
-        faces.reshape(-1, 3).astype(np.int32),
-        colors[owner[shown]],
-        uv[shown],
-        np.where(textured, link[owner], -1)[shown].astype(np.int32),
-        textures,
-    )
+    links = np.where(textured, link[owner], -1)[shown].astype(np.int32)
+    points, colors = vertices[kept].astype(np.float32), colors[owner[shown]]
+    triangles: IntArray = faces.reshape(-1, 3).astype(np.int32)
+    if (links < 0).all():
+        return Mesh(points, triangles, colors)
+    return Mesh(points, triangles, colors, uv[shown], links, textures)

@@ -1,0 +1,207 @@
+"""Commands that read recordings: `view`, `inspect`, `export`."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from dssmsg.recording.reader import Recording
+
+
+class Format(enum.StrEnum):
+    """What `export` writes."""
+
+    JSON = "json"
+    GRAPHML = "graphml"
+    SPARK_DSG = "spark-dsg"
+    PLY = "ply"
+
+
+class Layout(enum.StrEnum):
+    """What `view` shows."""
+
+    REVIEW = "review"
+    SCENE = "scene"
+    GRAPH = "graph"
+
+
+RecordingArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="REC", help="A recording; else the newest under recording.directory.", show_default=False
+    ),
+]
+AtOption = Annotated[
+    str | None,
+    typer.Option("--at", metavar="TIME", help="frame=120, time=24.5 or update=300; else the end."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+
+    @app.command()
+    def view(
+        recording: RecordingArgument = None,
+        web: Annotated[bool, typer.Option("--web", help="Serve a page for the browser, on this machine.")] = False,
+        at: AtOption = None,
+        focus: Annotated[
+            str | None, typer.Option("--focus", metavar="ID", help="Look at a node, like object-12.")
+        ] = None,
+        layout: Annotated[Layout, typer.Option("--layout", help="What to show.")] = Layout.REVIEW,
+    ) -> None:
+        """Open a recording in the viewer."""
+        open_viewer(chosen(recording), web=web, at=at, focus=focus, layout=layout.value)
+
+    @app.command()
+    def inspect(
+        recording: RecordingArgument = None,
+        as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")] = False,
+    ) -> None:
+        """Say what happened in a run: phases, changes, episodes, errors, timings."""
+        from dssmsg.cli.output import print_json
+        from dssmsg.recording.reader import Recording
+        from dssmsg.review.summary import summarize, summary_text
+
+        with Recording.open(chosen(recording)) as opened:
+            summary = summarize(opened)
+            if as_json:
+                print_json(summary)
+            else:
+                print(summary_text(summary, opened.errors()))
+
+    @app.command()
+    def export(
+        recording: RecordingArgument = None,
+        at: AtOption = None,
+        format: Annotated[Format, typer.Option("--format", help="Of the file.")] = Format.JSON,
+        output: Annotated[
+            Path | None,
+            typer.Option("-o", "--output", metavar="FILE", help="Else standard output.", show_default=False),
+        ] = None,
+        force: Annotated[bool, typer.Option("--force", help="Overwrite FILE.")] = False,
+    ) -> None:
+        """Write the scene graph of a recording, at any time of the run, to a file."""
+        from dssmsg.graph.export import export_graph
+        from dssmsg.recording.reader import Recording
+
+        with Recording.open(chosen(recording)) as opened:
+            frame, update = moment(opened, at)
+            data = export_graph(opened.graph_at(frame, update=update), format.value)
+        write_output(data, output, force=force)
+
+
+def chosen(recording: Path | None) -> Path:
+    """The recording that a command is about; says which one where none was named.
+
+    Raises InputError if there is none, ConfigError if the configuration does not say where to look.
+    """
+    if recording is not None:
+        return recording
+    from dssmsg.cli.output import note
+    from dssmsg.config import load_config
+    from dssmsg.recording.reader import newest
+
+    path = newest(Path(load_config().recording.directory))
+    note(f"reading {path}")
+    return path
+
+
+def moment(recording: Recording, at: str | None) -> tuple[int | None, int | None]:
+    """`--at` as (frame, update), one of them None; both None: the end. Raises ConfigError if it is malformed."""
+    from dssmsg.errors import ConfigError
+
+    if at is None:
+        return None, None
+    name, _, value = at.partition("=") if "=" in at else ("frame", "", at)
+    try:
+        if name == "frame":
+            return _within(recording, int(value)), None
+        if name == "time":
+            return recording.frame_at_time(float(value)), None
+        if name == "update":
+            return None, int(value)
+    except ValueError:
+        pass
+    raise ConfigError(f"expected frame=N, time=SECONDS or update=N, got {at!r}", key="--at")
+
+
+def _within(recording: Recording, frame: int) -> int:
+    from dssmsg.errors import ConfigError
+
+    indices = recording.frame_indices
+    if not indices or not indices[0] <= frame <= indices[-1]:
+        span = f"its frames are {indices[0]} to {indices[-1]}" if indices else "it has no frames"
+        raise ConfigError(f"no frame {frame} in {recording.path}: {span}", key="--at")
+    return frame
+
+
+def write_output(data: bytes, output: Path | None, *, force: bool) -> None:
+    """Write bytes to a file, or to stdout. Raises ConfigError if the file exists, StorageError if it cannot be."""
+    import os
+    import sys
+    import tempfile
+
+    from dssmsg.errors import ConfigError, StorageError
+
+    if output is None:
+        sys.stdout.buffer.write(data)
+        return
+    if output.exists() and not force:
+        raise ConfigError("exists already; give --force to overwrite it", file=output, key="--output")
+    try:
+        handle, name = tempfile.mkstemp(dir=output.parent, prefix=f".{output.name}-")
+        temporary = Path(name)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            mask = os.umask(0)
+            os.umask(mask)
+            temporary.chmod(0o666 & ~mask)
+            os.replace(temporary, output)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot be written ({error.strerror})", file=output) from error
+
+
+def open_viewer(
+    path: Path, *, web: bool = False, at: str | None = None, focus: str | None = None, layout: str = "review"
+) -> None:
+    """Show a recording and wait until the window is closed.
+
+    Raises InputError if the recording does not read, ConfigError for an unknown node or time, and ViewerError
+    where no window can be opened.
+    """
+    import tempfile
+
+    from dssmsg.cli.output import note
+    from dssmsg.recording.blueprint import save_layout
+    from dssmsg.recording.reader import Recording
+    from dssmsg.recording.viewer import Viewer
+
+    with Recording.open(path) as opened, tempfile.TemporaryDirectory(prefix="dssmsg-") as folder:
+        frame, update = moment(opened, at)
+        graph = opened.graph_at(frame, update=update)
+        if update is not None:
+            frame = opened.frame_of_update(update)
+        layout_file = Path(folder) / "layout.rbl"
+        save_layout(layout_file, layout, graph, focus)
+        files = [opened.readable_path, layout_file]
+        if web:
+            viewer, address = Viewer.serve(files)
+            note(f"open {address} (Ctrl-C ends it)")
+        else:
+            viewer = Viewer.start(files)
+        try:
+            if frame is not None and not web:
+                viewer.set_frame(frame)
+            elif frame is not None:
+                note(f"the page opens at the end; go to frame {frame} in the time panel")
+            viewer.wait()
+        finally:
+            viewer.stop()

@@ -1,0 +1,99 @@
+"""What happened in a run, from its recording alone: the object that `dssmsg inspect --json` prints."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from dssmsg.graph.nodes import BELIEVED
+from dssmsg.recording import schema
+from dssmsg.recording.reader import Recording
+
+
+def summarize(recording: Recording) -> dict[str, Any]:
+    """The summary of a run, in the shape of `run --json`, with `schema_version` and `complete`.
+
+    A finished run is told in its own words; of one that was killed, whatever its recording says is counted.
+    """
+    counted = {**count(recording), "recording": str(recording.path)}
+    stored = recording.stored_summary or {}
+    return {
+        "recording": str(recording.path),
+        **counted,
+        **{name: value for name, value in stored.items() if name != "recording"},
+        "schema_version": schema.SCHEMA_VERSION,
+        "complete": recording.complete and recording.stored_summary is not None,
+    }
+
+
+def count(recording: Recording) -> dict[str, Any]:
+    """The summary as counted from the recording's rows."""
+    facts = recording.facts
+    graph = recording.graph_at()
+    believed = [node for node in graph.objects.values() if node.status == BELIEVED]
+    indices = recording.frame_indices
+    seconds: Counter[str] = Counter()
+    for stages in recording.timings().values():
+        seconds.update(stages)
+    return {
+        "name": facts["name"],
+        "run_id": facts["run_id"],
+        "seed": facts["seed"],
+        "source": facts["source"]["name"],
+        "scene": facts["source"]["scene"],
+        "parent": facts["parent"],
+        "frames": len(indices),
+        "key_frames": len(recording.key_frames),
+        "objects": len(believed),
+        "tentative": len(graph.objects) - len(believed),
+        "states": dict(sorted(Counter(node.state for node in believed).items())),
+        "waypoints": len(graph.waypoints),
+        "viewpoints": len(graph.viewpoints),
+        "changes": recording.change_counts(),
+        "phases": recording.phases(),
+        "episodes": [
+            {name: episode[name] for name in ("goal", "outcome", "reason")} for episode in recording.episodes()
+        ],
+        "errors": len(recording.errors()),
+        "collisions": recording.collisions(indices[-1]) if indices else 0,
+        "seconds": {stage: round(value, 3) for stage, value in sorted(seconds.items())},
+    }
+
+
+def summary_text(summary: dict[str, Any], errors: list[dict[str, Any]]) -> str:
+    """The summary as lines for a terminal; `errors` are told one a line."""
+    phases = ", ".join(f"{phase['phase']} from frame {phase['frame']}" for phase in summary["phases"])
+    rows: list[tuple[str, Any]] = [
+        ("recording", summary["recording"]),
+        ("run", f"{summary['name']}, seed {summary['seed']}, {summary['source']} {summary['scene']}".rstrip()),
+        ("complete", "yes" if summary["complete"] else "no: the run was cut off, or is not over"),
+        ("phases", phases or "none"),
+        ("frames", f"{summary['frames']} ({summary['key_frames']} key frames)"),
+        ("objects", f"{summary['objects']} ({summary['tentative']} more tentative){_states(summary)}"),
+        ("waypoints", f"{summary['waypoints']} with {summary['viewpoints']} viewpoints"),
+        ("changes", ", ".join(f"{kind} {number}" for kind, number in summary["changes"].items()) or "none"),
+    ]
+    rows += [
+        ("episode", f"{episode['goal']}: {episode['outcome']}" + (f" ({episode['reason']})" * bool(episode["reason"])))
+        for episode in summary["episodes"]
+    ]
+    if summary["collisions"]:
+        rows.append(("collisions", summary["collisions"]))
+    rows.append(("errors", summary["errors"]))
+    rows += [
+        ("", f"frame {error['frame']}: {error['plugin']}: {error['message']}" + _skipped(error))
+        for error in errors[:20]
+    ]
+    if len(errors) > 20:
+        rows.append(("", f"... and {len(errors) - 20} more"))
+    seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
+    rows.append(("seconds", seconds or "not timed"))
+    return "\n".join(f"{name:<11}{value}" for name, value in rows)
+
+
+def _states(summary: dict[str, Any]) -> str:
+    return ": " + ", ".join(f"{number} {state}" for state, number in summary["states"].items()) if summary["states"] else ""
+
+
+def _skipped(error: dict[str, Any]) -> str:
+    return f"; skipped: {error['skipped']}" if error["skipped"] else ""

@@ -1,0 +1,66 @@
+"""llm/recorded: what an LLM answered in an earlier run, found by the hash of the request."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from dssmsg.errors import PluginError
+from dssmsg.hookspecs import PluginConfig, Register, hookimpl
+from dssmsg.interfaces.llm import Answer, Message
+from dssmsg.llm_requests import parse_answer, request_hash
+
+if TYPE_CHECKING:
+    from dssmsg.interfaces import Context
+
+PLUGIN = "llm/recorded"
+
+
+class Config(PluginConfig):
+    """Options of `llm: {use: recorded}`."""
+
+    recording: str = Field(
+        description="The .rrd file whose answers are given again (relative to the configuration file), or a "
+        "folder: its newest."
+    )
+
+
+class Recorded:
+    """Gives recorded answers; the last one that was accepted, where a request was made more than once.
+
+    Raises InputError if the recording does not read.
+    """
+
+    def __init__(self, config: Config, context: Context) -> None:
+        from dssmsg.recording.reader import Recording, newest
+
+        path = context.base_dir / config.recording
+        with Recording.open(newest(path) if path.is_dir() else path) as recording:
+            calls = recording.llm_calls()
+            self._path = recording.path
+        self._answers = {
+            call["request_hash"]: (str(call["answer"]), call.get("tokens")) for call in calls if call["ok"]
+        }
+
+    def complete(self, role: str, messages: Sequence[Message], schema: Mapping[str, Any]) -> Answer:
+        """The recorded answer to the same request. Raises PluginError if it was not asked then."""
+        found = self._answers.get(request_hash(role, messages, schema))
+        if found is None:
+            raise PluginError(
+                f"holds no answer to this {role} request; it has {len(self._answers)} answers",
+                plugin=PLUGIN,
+                file=self._path,
+            )
+        text, tokens = found
+        try:
+            return Answer(parse_answer(text, schema), text, tokens)
+        except ValueError as error:
+            raise PluginError(str(error), plugin=PLUGIN, file=self._path) from None
+
+
+@hookimpl
+def register_llm(register: Register) -> None:
+    """`recorded`: the answers of an earlier run."""
+    register("recorded", Recorded, config=Config)
