@@ -82,7 +82,8 @@ def recording_of(summary: dict, cwd: Path) -> Path:
 def folding(cwd: Path) -> list[Row]:
     """Folding the default run's recording gives the graph that the live run had."""
     from dssmsg.config import load_config
-    from dssmsg.graph.scene_graph import SceneGraph, difference
+    from dssmsg.graph.compare import first_difference
+    from dssmsg.graph.scene_graph import SceneGraph
     from dssmsg.host import Host
     from dssmsg.mission.run import run_mission
     from dssmsg.recording.reader import Recording
@@ -92,8 +93,8 @@ def folding(cwd: Path) -> list[Row]:
     probe = LiveGraphs(random.Random(0))
     result = run_mission(config, Host.load(), observers=[("live", probe)])
     recording = Recording.open(Path(result.summary["recording"]))
-    wrong = [d for frame, live in probe.kept.items() if (d := difference(live, recording.graph_at(frame)))]
-    final = difference(result.graph, SceneGraph.fold(recording.changes()))
+    wrong = [d for frame, live in probe.kept.items() if (d := first_difference(live, recording.graph_at(frame)))]
+    final = first_difference(result.graph, SceneGraph.fold(recording.changes()))
     frames = len(probe.kept)
     return [
         Row("folding the file = live graph, at the end", "equal", final or "equal", not final),

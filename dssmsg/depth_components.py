@@ -15,8 +15,8 @@ def depth_components(
 ) -> NDArray[np.int64]:
     """Component number (H, W) of each pixel of `mask` with a reading, -1 elsewhere.
 
-    depth (H, W) metres, 0 = no reading. Two of four neighbours are joined where their depths differ by at most
-    `step` metres plus `step_ratio` of the nearer one. Components count from 0 by their first pixel, row by row.
+    depth (H, W) metres, 0 = no reading. Pixels side by side are joined where their depths differ by at most
+    `step` metres plus `step_ratio` of the nearer one. Components count from 0 by first pixel, row by row.
     """
     usable = mask & (depth > 0)
     labels = np.full(depth.shape, -1, dtype=np.int64)

@@ -98,7 +98,9 @@ class SyntheticRun:
         detections = tuple(self._detection(number, slot) for slot, number in enumerate(ahead))
         applied = self._changes(frame, ahead) if key else ()
         viewpoint = self._viewpoint(index) if key else None
-        yield ev.FrameCaptured(frame.without_truth(), Command(0.3, 0.1, 0.0, -0.2), key, viewpoint, index // 10)
+        yield ev.FrameCaptured(
+            frame.without_truth(), Command(0.3, 0.1, 0.0, -0.2), key, viewpoint, index // 10
+        )
         if frame.truth is not None:
             yield ev.TruthSeen(index, frame.sim_time, frame.truth)
         if key:
@@ -110,7 +112,9 @@ class SyntheticRun:
             state = ("drive", "look", "turn")[index // 15 % 3]
             yield ev.NavigationChanged(index, frame.sim_time, state, f"stop {index // 15}")
         if index == 4:
-            yield ev.ErrorOccurred(index, frame.sim_time, "perception/synthetic", "NaN in a box", "1 detection")
+            yield ev.ErrorOccurred(
+                index, frame.sim_time, "perception/synthetic", "NaN in a box", "1 detection"
+            )
         yield ev.Logged(index, frame.sim_time, "dssmsg.mission", "INFO", f"frame {index}")
         yield ev.StageTimed(index, frame.sim_time, {"source": 0.02, "perception": 0.01 * key})
 
@@ -165,9 +169,7 @@ class SyntheticRun:
 
     def _ahead(self, index: int) -> list[int]:
         angle = 2 * math.pi * index / 60
-        headings = [
-            abs(math.remainder(math.atan2(y, x) - angle, 2 * math.pi)) for x, y, _ in self.spots
-        ]
+        headings = [abs(math.remainder(math.atan2(y, x) - angle, 2 * math.pi)) for x, y, _ in self.spots]
         return [number for number, off in enumerate(headings) if off < 0.7]
 
     def _detection(self, number: int, slot: int) -> Detection:

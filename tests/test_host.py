@@ -9,7 +9,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 from project import FAKES, project
 
@@ -114,11 +113,13 @@ def test_every_kind_can_be_registered_and_is_held_against_its_protocol(tmp_path:
     assert kinds == [kind for kind in KINDS if kind not in ("tagger", "detector", "segmenter", "diagnosis")]
     made = contexts(host, tmp_path)
     for kind in kinds:
-        assert host.build(kind, {"use": "fake"}, made).plugin is not None
-        if kind != "perception":
-            with pytest.raises(PluginError, match=r"perception plug-in \(Perception\) must have"):
-                wrong = {"perception": {"use": f"{FAKES}:Fake{kind.capitalize()}"}}
-                host.build("perception", wrong["perception"], made)
+        plugin = host.build(kind, {"use": "fake"}, made).plugin
+        if hasattr(plugin, "close"):
+            plugin.close()
+    for kind in ("source", "encoder", "llm", "association", "update", "grounding", "navigation"):
+        other = {"use": f"{FAKES}:Fake{kind.capitalize()}"}
+        with pytest.raises(PluginError, match=r"a perception plug-in \(Perception\) must have"):
+            host.build("perception", other, made)
 
 
 @pytest.mark.parametrize(
@@ -213,9 +214,9 @@ def test_entry_points_are_loaded_guarded_and_one_at_a_time(tmp_path: Path) -> No
 
 def test_unknown_names_list_the_known(tmp_path: Path) -> None:
     host = Host.load([FAKES], tmp_path, entry_points=())
-    with pytest.raises(ConfigError, match="unknown llm 'fak'; did you mean 'fake'.; known: fake"):
+    with pytest.raises(ConfigError, match=r"unknown llm 'fak'; did you mean 'fake'\?; known: fake"):
         host.resolve("llm", {"use": "fak"})
-    with pytest.raises(ConfigError, match="no tagger plug-in is registered .'fake' is of kind"):
+    with pytest.raises(ConfigError, match=r"no tagger plug-in is registered \('fake' is of kind"):
         host.resolve("tagger", {"use": "fake"})
     with pytest.raises(ConfigError, match="pip install -e"):
         Host.load((), tmp_path, entry_points=()).resolve("llm", {"use": "fake"})
@@ -343,11 +344,7 @@ def test_generators_depend_on_seed_kind_and_name_alone() -> None:
     assert len(set(draws.values())) == len(draws)
     assert draws[0, "source", "a"] == tuple(plugin_rng(0, "source", "a").integers(0, 2**62, 3).tolist())
     # Pinned: the same seed must give the same run in every later version, too.
-    assert np.random.SeedSequence is not None
-    assert plugin_rng(0, "source", "pybullet").integers(0, 1000, 4).tolist() == PINNED
-
-
-PINNED = [0, 0, 0, 0]
+    assert plugin_rng(0, "source", "pybullet").integers(0, 1000, 4).tolist() == [566, 335, 799, 713]
 
 
 def test_config_with_no_options_accepts_none() -> None:

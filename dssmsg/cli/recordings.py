@@ -47,7 +47,9 @@ def register(app: typer.Typer) -> None:
     @app.command()
     def view(
         recording: RecordingArgument = None,
-        web: Annotated[bool, typer.Option("--web", help="Serve a page for the browser, on this machine.")] = False,
+        web: Annotated[
+            bool, typer.Option("--web", help="Serve a page for the browser, on this machine.")
+        ] = False,
         at: AtOption = None,
         focus: Annotated[
             str | None, typer.Option("--focus", metavar="ID", help="Look at a node, like object-12.")

@@ -34,7 +34,9 @@ def split_objects(
     `frames` then share an index) or, for the objects in `apart`, in the frame at hand.
     """
     pairs = []
-    for first, second in sorted(_near_pairs(graph, touched, tolerance), key=lambda pair: [id_order(i) for i in pair]):
+    for first, second in sorted(
+        _near_pairs(graph, touched, tolerance), key=lambda pair: [id_order(i) for i in pair]
+    ):
         a, b = graph.objects[first], graph.objects[second]
         if a.label != b.label or not set(a.frames).isdisjoint(b.frames):
             continue

@@ -113,13 +113,18 @@ def change_table_view() -> rrb.DataframeView:
 
 def plots() -> rrb.Tabs:
     """Objects, changes a key frame and wall time a frame."""
+
     def plot(part: str, name: str) -> rrb.TimeSeriesView:
         return rrb.TimeSeriesView(
-            origin=f"{schema.PLOTS}/{part}", name=name, plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
+            origin=f"{schema.PLOTS}/{part}",
+            name=name,
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
         )
 
     return rrb.Tabs(
-        plot("objects", "Objects"), plot("changes", "Changes a frame"), plot("timings", "Milliseconds a frame"),
+        plot("objects", "Objects"),
+        plot("changes", "Changes a frame"),
+        plot("timings", "Milliseconds a frame"),
         name="Plots",
     )
 
@@ -133,9 +138,7 @@ def states_view() -> rrb.StateTimelineView:
 
 def log_view() -> rrb.TextLogView:
     """Everything that was logged, without the graph's changes."""
-    return rrb.TextLogView(
-        origin=schema.LOG, name="Log", contents=["+ $origin/**", f"- {schema.LOG}/graph"]
-    )
+    return rrb.TextLogView(origin=schema.LOG, name="Log", contents=["+ $origin/**", f"- {schema.LOG}/graph"])
 
 
 def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
@@ -161,9 +164,7 @@ def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
 def scene_layout(eye: Eye | None = None) -> rrb.Blueprint:
     """The 3D scene, large, beside the camera: for a demonstration."""
     return rrb.Blueprint(
-        rrb.Horizontal(
-            world_view(eye), rrb.Vertical(camera_view(), depth_view()), column_shares=[3, 1]
-        ),
+        rrb.Horizontal(world_view(eye), rrb.Vertical(camera_view(), depth_view()), column_shares=[3, 1]),
         *_panels(),
     )
 

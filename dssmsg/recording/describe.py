@@ -40,7 +40,9 @@ def _what(change: Change) -> str:
         case ch.ObjectAdded():
             return f"{change.object_id} new: {change.label} {change.score:.2f}, {len(change.points)} points"
         case ch.ObjectMerged():
-            return f"{change.object_id} merged: {change.label} {change.score:.2f}, +{len(change.points)} points"
+            return (
+                f"{change.object_id} merged: {change.label} {change.score:.2f}, +{len(change.points)} points"
+            )
         case ch.ObjectsJoined():
             return f"{change.object_id} took over {change.absorbed_id}"
         case ch.ObjectChanged():

@@ -145,7 +145,8 @@ def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdge
     believed = [node for node in graph.objects.values() if node.status == BELIEVED]
     shown = {node.id for node in believed} | set(graph.waypoints)
     kept = {
-        kind: [pair for pair in pairs if pair[0] in shown and pair[1] in shown] for kind, pairs in edges.items()
+        kind: [pair for pair in pairs if pair[0] in shown and pair[1] in shown]
+        for kind, pairs in edges.items()
     }
     waypoints = list(graph.waypoints)
     things = [node.id for node in believed]

@@ -82,7 +82,10 @@ def object_class(node: ObjectNode) -> int:
 def world_annotations() -> rr.AnnotationContext:
     """Names and colours of the object classes."""
     return rr.AnnotationContext(
-        [rr.AnnotationInfo(id=number, label=name, color=colour) for number, name, colour in OBJECT_CLASSES.values()]
+        [
+            rr.AnnotationInfo(id=number, label=name, color=colour)
+            for number, name, colour in OBJECT_CLASSES.values()
+        ]
     )
 
 

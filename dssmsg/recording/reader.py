@@ -88,7 +88,8 @@ class Recording:
             )
         if int(version) != schema.SCHEMA_VERSION:
             raise InputError(
-                f"has schema version {version}; this dssmsg reads version {schema.SCHEMA_VERSION}", file=self.path
+                f"has schema version {version}; this dssmsg reads version {schema.SCHEMA_VERSION}",
+                file=self.path,
             )
 
     # The run.
@@ -279,7 +280,9 @@ class Recording:
         """The last frame at or before a sim time. Raises InputError if the run had not begun."""
         found = [index for index in self.frame_indices if self._frame_rows[index]["sim_time"][0] <= sim_time]
         if not found:
-            raise InputError(f"holds no frame at or before {sim_time} s; its frames are {self._span()}", file=self.path)
+            raise InputError(
+                f"holds no frame at or before {sim_time} s; its frames are {self._span()}", file=self.path
+            )
         return found[-1]
 
     # Everything else that happened, as JSON values.
@@ -318,7 +321,8 @@ class Recording:
     def logs(self) -> list[Json]:
         """Log lines: logger, level, message."""
         return [
-            {name: row[name][0] for name in ("logger", "level", "message")} for row in self._file.rows(schema.LOGS)
+            {name: row[name][0] for name in ("logger", "level", "message")}
+            for row in self._file.rows(schema.LOGS)
         ]
 
     def timings(self) -> dict[int, dict[str, float]]:
@@ -347,5 +351,7 @@ def newest(directory: Path) -> Path:
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=directory) from error
     if not found:
-        raise InputError("holds no recording (.rrd); make one with `dssmsg run`, or name a file", file=directory)
+        raise InputError(
+            "holds no recording (.rrd); make one with `dssmsg run`, or name a file", file=directory
+        )
     return max(found)[1]

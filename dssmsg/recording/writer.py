@@ -208,7 +208,10 @@ class RecordingWriter:
         base = frame.world_from_base[:3, 3] + (0.0, 0.0, 0.02)  # just above the floor, so that it is seen
         if self._last_base is not None and not np.array_equal(base, self._last_base):
             self._look(
-                schema.TRAIL, rr.LineStrips3D, stamp, strips=np.stack([self._last_base, base]).astype(np.float32)
+                schema.TRAIL,
+                rr.LineStrips3D,
+                stamp,
+                strips=np.stack([self._last_base, base]).astype(np.float32),
             )
         self._last_base = base
         if self._boxes_shown and not event.key_frame:
@@ -467,7 +470,9 @@ def _create_exclusively(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except FileExistsError as error:
-        raise StorageError("a recording of this name exists already and is not overwritten", file=path) from error
+        raise StorageError(
+            "a recording of this name exists already and is not overwritten", file=path
+        ) from error
     except OSError as error:
         raise StorageError(
             f"the recording cannot be created ({error.strerror}); set recording.directory to a folder that can"

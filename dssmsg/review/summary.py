@@ -52,7 +52,8 @@ def count(recording: Recording) -> dict[str, Any]:
         "changes": recording.change_counts(),
         "phases": recording.phases(),
         "episodes": [
-            {name: episode[name] for name in ("goal", "outcome", "reason")} for episode in recording.episodes()
+            {name: episode[name] for name in ("goal", "outcome", "reason")}
+            for episode in recording.episodes()
         ],
         "errors": len(recording.errors()),
         "collisions": recording.collisions(indices[-1]) if indices else 0,
@@ -65,7 +66,10 @@ def summary_text(summary: dict[str, Any], errors: list[dict[str, Any]]) -> str:
     phases = ", ".join(f"{phase['phase']} from frame {phase['frame']}" for phase in summary["phases"])
     rows: list[tuple[str, Any]] = [
         ("recording", summary["recording"]),
-        ("run", f"{summary['name']}, seed {summary['seed']}, {summary['source']} {summary['scene']}".rstrip()),
+        (
+            "run",
+            f"{summary['name']}, seed {summary['seed']}, {summary['source']} {summary['scene']}".rstrip(),
+        ),
         ("complete", "yes" if summary["complete"] else "no: the run was cut off, or is not over"),
         ("phases", phases or "none"),
         ("frames", f"{summary['frames']} ({summary['key_frames']} key frames)"),
@@ -74,7 +78,11 @@ def summary_text(summary: dict[str, Any], errors: list[dict[str, Any]]) -> str:
         ("changes", ", ".join(f"{kind} {number}" for kind, number in summary["changes"].items()) or "none"),
     ]
     rows += [
-        ("episode", f"{episode['goal']}: {episode['outcome']}" + (f" ({episode['reason']})" * bool(episode["reason"])))
+        (
+            "episode",
+            f"{episode['goal']}: {episode['outcome']}"
+            + (f" ({episode['reason']})" * bool(episode["reason"])),
+        )
         for episode in summary["episodes"]
     ]
     if summary["collisions"]:
@@ -92,7 +100,11 @@ def summary_text(summary: dict[str, Any], errors: list[dict[str, Any]]) -> str:
 
 
 def _states(summary: dict[str, Any]) -> str:
-    return ": " + ", ".join(f"{number} {state}" for state, number in summary["states"].items()) if summary["states"] else ""
+    return (
+        ": " + ", ".join(f"{number} {state}" for state, number in summary["states"].items())
+        if summary["states"]
+        else ""
+    )
 
 
 def _skipped(error: dict[str, Any]) -> str:

@@ -83,7 +83,9 @@ class DssmConfig(PluginConfig):
         description="At the end of a visit this share joins, within `join_contact_tolerance`; 1 turns it off.",
     )
     join_contact_tolerance: float = Field(
-        0.1, gt=0, description="Metres within which a point is in contact with the other object (one cluster)."
+        0.075,
+        gt=0,
+        description="Metres within which a point is in contact with the other object (one cluster).",
     )
     sample: int = Field(
         512, ge=64, description="Points of a cloud asked for neighbours first; all where a threshold is near."

@@ -84,7 +84,9 @@ def _create(path: Path) -> TextIOWrapper:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
     except FileExistsError as error:
-        raise StorageError("a change log of this name exists already and is not overwritten", file=path) from error
+        raise StorageError(
+            "a change log of this name exists already and is not overwritten", file=path
+        ) from error
     except OSError as error:
         raise StorageError(
             f"the change log cannot be created ({error.strerror}); set recording.directory to a folder that can"

@@ -31,7 +31,9 @@ class Config(PluginConfig):
     style: Literal["auto", "bar", "lines", "off"] = Field(
         default="auto", description="auto: a live line on a terminal, plain lines elsewhere"
     )
-    every_secs: float = Field(default=5.0, ge=0.1, le=3600.0, description="wall seconds between two plain lines")
+    every_secs: float = Field(
+        default=5.0, ge=0.1, le=3600.0, description="wall seconds between two plain lines"
+    )
 
 
 class _Tally:
@@ -113,7 +115,9 @@ class ProgressObserver:
         elif isinstance(event, PhaseStarted):
             self._say(f"phase {self._tally.phase} begins at frame {event.frame}")
         elif isinstance(event, ErrorOccurred):
-            self._say(f"{event.plugin}: {event.message}" + (f"; skipped: {event.skipped}" if event.skipped else ""))
+            self._say(
+                f"{event.plugin}: {event.message}" + (f"; skipped: {event.skipped}" if event.skipped else "")
+            )
         elif isinstance(event, EpisodeEnded):
             self._say(f"episode {event.episode} “{event.goal}”: {event.outcome} {event.reason}".rstrip())
         elif isinstance(event, RunFinished) or time.monotonic() >= self._due:

@@ -36,7 +36,10 @@ class Config(PluginConfig):
         default=64, ge=1, le=4096, description="events that may wait for the writer before the mission waits"
     )
     flush_secs: float = Field(
-        default=1.0, ge=0.1, le=2.0, description="wall seconds between two flushes; a crash loses about that much"
+        default=1.0,
+        ge=0.1,
+        le=2.0,
+        description="wall seconds between two flushes; a crash loses about that much",
     )
     optimize: bool = Field(default=True, description="compact the file once the run is over")
     view: bool = Field(default=False, description="open the Rerun viewer and show the run live")
@@ -130,7 +133,11 @@ class RerunObserver:
                     return
                 if isinstance(event, Event):
                     writer.write(event)
-                if event is _TICK or time.monotonic() >= due or isinstance(event, (ErrorOccurred, RunFinished)):
+                if (
+                    event is _TICK
+                    or time.monotonic() >= due
+                    or isinstance(event, (ErrorOccurred, RunFinished))
+                ):
                     writer.flush()
                     due = time.monotonic() + self._config.flush_secs
             finally:
@@ -162,7 +169,9 @@ def live_sink(log: logging.Logger) -> Any:
     try:
         viewer = Viewer.start([])
     except DssmsgError as error:
-        raise ConfigError(f"cannot show the run live: {error.message}", key="recording.observers.rerun.view") from error
+        raise ConfigError(
+            f"cannot show the run live: {error.message}", key="recording.observers.rerun.view"
+        ) from error
     log.info("the viewer listens on %s:%d", LOOPBACK, viewer.port)
     return rr.GrpcSink(f"rerun+http://{LOOPBACK}:{viewer.port}/proxy")
 

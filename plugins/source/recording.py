@@ -23,7 +23,9 @@ class Config(PluginConfig):
         description="the .rrd file to replay (relative to the configuration file), or a folder: its newest"
     )
     start: int = Field(default=0, ge=0, description="first frame index to give")
-    stop: int | None = Field(default=None, ge=1, description="frame index to stop before; none: the last one too")
+    stop: int | None = Field(
+        default=None, ge=1, description="frame index to stop before; none: the last one too"
+    )
     truth: bool = Field(default=True, description="give the recorded truth to plug-ins that may see it")
 
 
