@@ -57,7 +57,7 @@ def unit(rng: np.random.Generator) -> NDArray[np.float32]:
 def surface(center: NDArray[np.float64], rng: np.random.Generator, seed: int) -> NDArray[np.float32]:
     """About 2,000 voxel points of three faces of a box of 0.7 m at `center`, as one camera sees it."""
     faces = np.random.default_rng(seed)  # the same box for all its observations
-    size = faces.uniform(0.6, 0.8, 3)
+    size = faces.uniform(0.48, 0.66, 3)
     samples = np.random.default_rng(seed + 1).uniform(-0.5, 0.5, (12_000, 3))
     side = np.arange(len(samples)) % 3
     samples[np.arange(len(samples)), side] = 0.5
@@ -90,7 +90,7 @@ def places(count: int) -> NDArray[np.float64]:
     order = np.argsort(np.abs(grid).max(axis=1), kind="stable")[
         :count
     ]  # nearest the origin first: always the same
-    return np.concatenate([grid[order] * 0.72, np.full((count, 1), 0.4)], axis=1)
+    return np.concatenate([grid[order] * 0.6, np.full((count, 1), 0.4)], axis=1)
 
 
 class Bench:

@@ -228,6 +228,10 @@ class RunConfig(BaseModel):
         values = self.model_dump(mode="json")
         for kind in SLOT_KINDS:
             values[kind] = getattr(self, kind).flat()
+        written = merge(self._layers).get("recording", {}).get("observers", {})
+        values["recording"]["observers"] |= {
+            name: False for name, options in written.items() if options is False
+        }
         return values
 
     def resolved_yaml(self) -> str:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import os
 import sys
+import sysconfig
 import threading
 import traceback
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from time import monotonic
 from typing import Any, Literal
 
@@ -21,6 +23,7 @@ from dssmsg.errors import ConfigError, InputError, PluginError, PluginTimeout, S
 from dssmsg.events import ErrorOccurred
 
 _NO_DEFAULT: Any = object()
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 FLUSH_SECS = 5.0
 """How long reporting and flushing may take once a plug-in hangs: they may wait for what the plug-in holds."""
 
@@ -153,8 +156,11 @@ def _describe(error: BaseException) -> str:
     """Type and text of an exception and the line that raised it, on one line."""
     text = " ".join(str(error).split())[:400]
     described = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    frames = traceback.extract_tb(error.__traceback__)
-    # Line 0 of the trace is the guard's own call; a fault found by a check lies in the checks themselves.
-    if len(frames) > 1 and not frames[-1].filename.endswith("checks.py"):
-        described += f" ({os.path.basename(frames[-1].filename)}:{frames[-1].lineno})"  # noqa: PTH119
+    # The trace begins with the guard's own call; a fault found by a check lies in the checks themselves.
+    frames = traceback.extract_tb(error.__traceback__)[1:]
+    if frames and not frames[-1].filename.endswith("checks.py"):
+        # The user can look at their own line, not at one inside a library that it calls.
+        own = [one for one in frames if not one.filename.startswith(_LIBRARIES)]
+        line = (own or frames)[-1]
+        described += f" ({Path(line.filename).name}:{line.lineno})"
     return described

@@ -328,8 +328,10 @@ class Host:
 
     def _from_class(self, kind: str, use: str, base_dir: Path, key: str) -> Registration:
         place, _, attribute = use.rpartition(":")
-        made, origin, name = locate_class(place, attribute, base_dir, kind=kind, key=f"{key}.use")
-        config = getattr(made, "Config", PluginConfig)
+        made, module, name = locate_class(place, attribute, base_dir, kind=kind, key=f"{key}.use")
+        origin = str(module.__file__ or place)
+        # The class says what its options are, or the module that it stands in.
+        config: Any = getattr(made, "Config", None) or getattr(module, "Config", PluginConfig)
         fault = _registration_fault(name, made, config)
         if fault:
             raise PluginError(fault, plugin=f"{kind}/{name}", file=origin, key=f"{key}.use")

@@ -77,8 +77,10 @@ def import_file(file: PluginFile) -> ModuleType:
     return module
 
 
-def locate_class(place: str, attribute: str, base_dir: Path, *, kind: str, key: str) -> tuple[Any, str, str]:
-    """(class, origin, name) of `place:attribute`, where `place` is a module or a `.py` file.
+def locate_class(
+    place: str, attribute: str, base_dir: Path, *, kind: str, key: str
+) -> tuple[Any, ModuleType, str]:
+    """(class, its module, name) of `place:attribute`, where `place` is a module or a `.py` file.
 
     The name leaves out folders, so that a change log does not depend on where a project lies.
     Raises ConfigError if there is no such file, module or class; PluginError if importing it fails.
@@ -106,7 +108,7 @@ def locate_class(place: str, attribute: str, base_dir: Path, *, kind: str, key: 
             one for one, value in vars(module).items() if isinstance(value, type) and not one.startswith("_")
         ]
         raise ConfigError(f"{origin} has no class '{attribute}'{did_you_mean(attribute, classes)}", key=key)
-    return found, str(getattr(module, "__file__", None) or origin), name
+    return found, module, name
 
 
 def _loaded(path: Path) -> ModuleType:

@@ -143,6 +143,9 @@ class Lifter:
 
     def _parts(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.intp]:
         """Ascending indices of the largest cluster and of those that count as further parts of the thing."""
+        if not (labels >= 0).any():
+            # A pole or a cable is a line of voxels and never has as many neighbours as a surface: ask half.
+            labels = density_clusters(points, self.eps, (self.min_neighbours + 1) // 2)
         sizes = np.bincount(labels[labels >= 0])
         if len(sizes) == 0:
             return np.zeros(0, dtype=np.intp)

@@ -24,7 +24,7 @@ class SourceConfig(PluginConfig):
 
 
 class FakeSource:
-    """A wall 2 m ahead of a camera that advances 0.1 m a frame."""
+    """A wall 2 m ahead of a camera that advances 0.6 m a frame, so that every frame is a key frame."""
 
     def __init__(self, config: SourceConfig, context: Context) -> None:
         self._config = config
@@ -47,10 +47,10 @@ class FakeSource:
         camera = Camera.from_fov(self._config.width, 24, 1.2)
         size = (camera.height, camera.width)
         pose = np.array(
-            [[0, 0, 1, 0.1 * index], [-1, 0, 0, 0], [0, -1, 0, 0.8], [0, 0, 0, 1]], dtype=np.float64
+            [[0, 0, 1, 0.6 * index], [-1, 0, 0, 0], [0, -1, 0, 0.8], [0, 0, 0, 1]], dtype=np.float64
         )
         base = np.eye(4)
-        base[0, 3] = 0.1 * index
+        base[0, 3] = 0.6 * index
         depth = quantise_depth(np.full(size, 2.0))
         return Frame(index, 0.2 * index, np.full((*size, 3), 90, np.uint8), depth, camera, pose, base)
 

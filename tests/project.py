@@ -57,10 +57,14 @@ class Project:
         """Run `dssmsg ARGUMENTS` in this process, inside the folder; `env` adds variables."""
         from dssmsg.cli import main
 
-        out, err = io.StringIO(), io.StringIO()
+        out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
         with self.inside(env), redirect_stdout(out), redirect_stderr(err):
             code = main(list(arguments))
-        return Outcome(code, out.getvalue(), err.getvalue())
+        texts = []
+        for stream in (out, err):
+            stream.seek(0)
+            texts.append(stream.read())
+        return Outcome(code, *texts)
 
     def run_process(self, *arguments: str, env: Mapping[str, str] | None = None) -> Outcome:
         """Run `dssmsg ARGUMENTS` in a process of its own."""

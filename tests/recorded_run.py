@@ -6,6 +6,7 @@ ahead. The graph is a real `SceneGraph`: what `events` tells is what its `live` 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from types import MappingProxyType
@@ -241,7 +242,7 @@ class SyntheticRun:
                         cause=seen, edge="sees", source=viewpoint, target=name, attributes={"distance": 2.2}
                     )
                 )
-        for first, second in zip(names, names[1:], strict=False):
+        for first, second in itertools.pairwise(names):
             pair = (first, second) if int(first[7:]) < int(second[7:]) else (second, first)
             if pair not in self._near:
                 self._near.add(pair)

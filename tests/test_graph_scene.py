@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from dssmsg.graph import changes as c
 from dssmsg.graph.codec import decode, encode, graph_from_json, graph_to_json
-from dssmsg.graph.compare import difference, same
+from dssmsg.graph.compare import first_difference, same
 from dssmsg.graph.errors import GraphError
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.values import canonical_json
@@ -63,7 +63,7 @@ def test_folding_the_recorded_changes_gives_the_live_graph_at_every_prefix(
             row, blobs = encode(change)
             line = canonical_json(row)
             folded.apply(decode(json.loads(line), blobs))
-        assert difference(live, folded) is None
+        assert first_difference(live, folded) is None
     assert same(live, graph_from_json(json.loads(canonical_json(graph_to_json(live)))))
 
 
@@ -80,12 +80,12 @@ def test_a_failing_batch_leaves_the_graph_as_it_was(
     bad = c.ObjectRemoved(cause=CAUSE, object_id="object-999999")
     with pytest.raises(GraphError, match="object-999999"):
         live.apply_all([*frames[cut], bad], cut, 0.0)
-    assert difference(live, untouched) is None
+    assert first_difference(live, untouched) is None
     # The indexes were taken back, too: whatever comes next has the same effect on both.
     for frame, batch in enumerate(frames[cut:], cut):
         for graph in (live, untouched):
             graph.apply_all(batch, frame, 0.0)
-        assert difference(live, untouched) is None
+        assert first_difference(live, untouched) is None
     everything = np.full(3, -50.0), np.full(3, 50.0)
     assert live.objects_touching(*everything) == untouched.objects_touching(*everything)
     assert set(live.objects_touching(*everything)) == set(live.objects)
@@ -202,6 +202,14 @@ def test_a_moved_object_leaves_its_places_behind_in_spans_that_join() -> None:
     spans = [(place.from_time, place.to_time) for place in graph.history_of("object-1")]
     assert spans == [(0.0, 5.0), (5.0, 9.0), (9.0, 12.0)]
     assert not graph.objects
+
+
+def test_the_places_of_an_absorbed_object_go_to_the_one_that_stays() -> None:
+    left = c.ObjectReplaced(cause=CAUSE, object_id="object-2", history_id="history-1", **cloud(3, 10))
+    graph = applied(added(1), added(2), left)
+    graph.apply(c.ObjectsJoined(cause=CAUSE, object_id="object-1", absorbed_id="object-2"))
+    assert [place.object_id for place in graph.history_of("object-1")] == ["object-1"]
+    assert list(graph.history_of("object-2")) == []
 
 
 def test_a_waypoint_leaves_with_viewpoints_and_edges() -> None:
@@ -336,12 +344,12 @@ def test_a_before_that_agrees_is_accepted() -> None:
 
 def test_difference_names_the_first_place() -> None:
     assert "objects.object-1.votes.chair: 0.5 != 0.25" in str(
-        difference(applied(added(1)), applied(added(1, score=0.25)))
+        first_difference(applied(added(1)), applied(added(1, score=0.25)))
     )
-    assert "objects: keys object-1 != object-2" in str(difference(applied(added(1)), applied(added(2))))
+    assert "objects: keys object-1 != object-2" in str(first_difference(applied(added(1)), applied(added(2))))
     moved = added(1).points.copy()
     moved[3, 1] += np.float32(1e-6)
-    found = str(difference(applied(added(1)), applied(added(1, points=moved))))
+    found = str(first_difference(applied(added(1)), applied(added(1, points=moved))))
     assert "objects.object-1.points[3, 1]" in found
 
 

@@ -15,7 +15,9 @@ from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector, angle_betwe
 CAMERA = Camera(4, 3, 4.0, 4.0, 1.5, 1.0)
 
 
-def frame(index: int, x: float = 0.0, heading: float = 0.0, *, at_stop: bool = False, visit: int = 0) -> Frame:
+def frame(
+    index: int, x: float = 0.0, heading: float = 0.0, *, at_stop: bool = False, visit: int = 0
+) -> Frame:
     pose = np.eye(4)
     c, s = math.cos(heading), math.sin(heading)
     pose[:3, 0], pose[:3, 1], pose[:3, 2] = [s, -c, 0], [0, 0, -1], [c, s, 0]

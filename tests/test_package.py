@@ -45,7 +45,9 @@ def test_the_readme_names_both_commands():
 def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--disable-pip-version-check"]
-    subprocess.run([*command, "--wheel-dir", str(folder), str(ROOT)], check=True, capture_output=True, text=True)
+    subprocess.run(
+        [*command, "--wheel-dir", str(folder), str(ROOT)], check=True, capture_output=True, text=True
+    )
     (built,) = folder.glob("dssmsg-*.whl")
     return built
 
@@ -87,7 +89,11 @@ def test_installed_from_the_wheel_it_runs_in_an_empty_folder(wheel, tmp_path):
     assert summary["frames"] == 12
     assert (empty / summary["recording"]).is_file()
     where = subprocess.run(
-        [sys.executable, "-c", "import dssmsg, dssmsg_plugins; print(dssmsg.__file__, dssmsg_plugins.__file__)"],
+        [
+            sys.executable,
+            "-c",
+            "import dssmsg, dssmsg_plugins; print(dssmsg.__file__, dssmsg_plugins.__file__)",
+        ],
         cwd=empty,
         env={**os.environ, "PYTHONPATH": str(site)},
         capture_output=True,

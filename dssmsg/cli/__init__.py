@@ -20,7 +20,6 @@ from dssmsg.cli import recordings
 app = typer.Typer(
     name="dssmsg",
     help="Run a robot through rooms, build a dynamic 3D scene graph, and record why it is what it is.",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
 )
@@ -164,5 +163,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _invoke(arguments: list[str], *, debug: bool) -> int:
     command: Any = typer.main.get_command(app)
     front = ["--debug"] if debug else []
-    code = command.main([*front, *arguments], prog_name="dssmsg", standalone_mode=False)
-    return code if isinstance(code, int) else 0
+    try:
+        # Not command.main(), which would turn Ctrl-C and SIGTERM into an exit code of its own.
+        with command.make_context("dssmsg", [*front, *(arguments or ["--help"])]) as context:
+            command.invoke(context)
+    except typer.Exit as done:
+        return done.exit_code
+    return 0

@@ -64,8 +64,6 @@ class Ending:
                 _on_sigterm(before)
 
     def _failed(self, error: Exception) -> int:
-        if type(error).__name__ == "Abort":  # typer's word for Ctrl-C
-            return _interrupted(error.__cause__)
         known = _known(error)
         if self.debug or known is None:
             traceback.print_exception(error)
@@ -96,8 +94,8 @@ def _known(error: Exception) -> DssmsgError | None:
     return None
 
 
-def _interrupted(cause: BaseException | None) -> int:
-    terminated = isinstance(cause, Terminated)
+def _interrupted(error: KeyboardInterrupt) -> int:
+    terminated = isinstance(error, Terminated)
     print("terminated" if terminated else "interrupted", file=sys.stderr)
     return TERMINATED if terminated else INTERRUPTED
 

@@ -114,7 +114,7 @@ def chosen(recording: Path | None) -> Path:
 
 
 def moment(recording: Recording, at: str | None) -> tuple[int | None, int | None]:
-    """`--at` as (frame, update), one of them None; both None: the end. Raises ConfigError if it is malformed."""
+    """`--at` as (frame, update), at most one of them set: neither is the end. Raises ConfigError if malformed."""
     from dssmsg.errors import ConfigError
 
     if at is None:
@@ -143,7 +143,10 @@ def _within(recording: Recording, frame: int) -> int:
 
 
 def write_output(data: bytes, output: Path | None, *, force: bool) -> None:
-    """Write bytes to a file, or to stdout. Raises ConfigError if the file exists, StorageError if it cannot be."""
+    """Write bytes to a file, or to stdout.
+
+    Raises ConfigError if the file exists, StorageError if it cannot be written.
+    """
     import os
     import sys
     import tempfile
@@ -164,7 +167,7 @@ def write_output(data: bytes, output: Path | None, *, force: bool) -> None:
             mask = os.umask(0)
             os.umask(mask)
             temporary.chmod(0o666 & ~mask)
-            os.replace(temporary, output)
+            temporary.replace(output)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:

@@ -15,10 +15,10 @@ _TABLES = ("objects", "history", "waypoints", "viewpoints", "edges", "retired")
 
 def same(a: SceneGraph, b: SceneGraph) -> bool:
     """Whether two graphs are equal: rows, their order, every number, arrays bit by bit."""
-    return difference(a, b) is None
+    return first_difference(a, b) is None
 
 
-def difference(a: SceneGraph, b: SceneGraph) -> str | None:
+def first_difference(a: SceneGraph, b: SceneGraph) -> str | None:
     """The first place where two graphs differ, or None: `objects.object-3.votes.chair: 0.5 != 0.25`."""
     for name in _TABLES:
         found = _difference(name, getattr(a, name), getattr(b, name))

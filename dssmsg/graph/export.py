@@ -48,7 +48,7 @@ def _spark_dsg(graph: SceneGraph) -> bytes:
 
 
 def _graphml(graph: SceneGraph) -> bytes:
-    """Nodes and viewpoints with their facts, edges with their attributes, `has` from waypoint to viewpoint."""
+    """Nodes and viewpoints with facts, edges with attributes; `has` leads from waypoint to viewpoint."""
     import networkx  # a third of a second, which only this export needs
 
     document = networkx.DiGraph(updates=graph.updates)

@@ -78,7 +78,7 @@ def relation(a: Shape, b: Shape) -> str:
         inner, outer = (a, b) if size_a < size_b else (b, a)
         if shared.prod() >= MIN_CONTAINED * min(size_a, size_b) and _encloses(outer, inner):
             return IN if inner is a else CONTAINS
-    height_a, height_b = (float(s.box_min[2] + s.box_max[2] * 1e-9) for s in (a, b))
+    height_a, height_b = ((float(shape.box_min[2]), float(shape.box_max[2])) for shape in (a, b))
     plan = min(float(np.prod(_extent(shape)[:2])) for shape in (a, b))
     if height_a == height_b or shared[:2].prod() < MIN_OVERLAP * plan:
         return NEXT_TO
@@ -91,30 +91,33 @@ def _over(upper: Shape, lower: Shape) -> str:
     bottom = float(upper.box_min[2])
     if bottom > lower.box_max[2] + CONTACT_M:
         return ABOVE
-    height = lower.points[_within(lower, upper, (0, 1), CONTACT_M), 2] - bottom
+    height = lower.points[_over_plan(lower, upper, CONTACT_M), 2] - bottom
     level = int(np.count_nonzero(np.abs(height) <= CONTACT_M))
-    rising = int(
-        np.count_nonzero(height > CONTACT_M)
-    )  # much of it: `lower` stands through, not under, `upper`
+    rising = int(np.count_nonzero(height > CONTACT_M))  # where `lower` goes on past it, it carries nothing
     return ON if level > 0 and 2 * level >= rising else NEXT_TO
 
 
 def _encloses(outer: Shape, inner: Shape) -> bool:
+    # A wall rises over what the thing stands on: a table's top beside a phone is not one.
+    rise = outer.points[:, 2] - inner.box_min[2]
+    height = max(float(inner.box_max[2] - inner.box_min[2]), 2 * CONTACT_M)
+    wall = (rise > CONTACT_M) & (rise <= height)
     sides = 0
     for axis in (0, 1):
-        beside = outer.points[_within(outer, inner, (1 - axis, 2), 0.0), axis]
+        other = outer.points[:, 1 - axis]
+        level = (other >= inner.box_min[1 - axis]) & (other <= inner.box_max[1 - axis])
+        beside = outer.points[wall & level, axis]
         for distance in (inner.box_min[axis] - beside, beside - inner.box_max[axis]):
             sides += bool(((distance >= -CONTACT_M) & (distance <= WALL_M)).any())
-    over = outer.points[_within(outer, inner, (0, 1), 0.0), 2] - inner.box_max[2]
+    over = outer.points[_over_plan(outer, inner, 0.0), 2] - inner.box_max[2]
     roof = bool(((over >= -CONTACT_M) & (over <= WALL_M)).any())
     return sides == 4 or (roof and sides >= 2)
 
 
-def _within(points_of: Shape, box_of: Shape, axes: tuple[int, int], margin: float) -> MaskArray:
-    """(N,) bool: points inside the other's box, grown by a margin, along two axes."""
-    chosen = list(axes)
-    points = points_of.points[:, chosen]
-    low, high = box_of.box_min[chosen] - margin, box_of.box_max[chosen] + margin
+def _over_plan(points_of: Shape, plan_of: Shape, margin: float) -> MaskArray:
+    """(N,) bool: points over or under the other's floor plan, grown by a margin."""
+    points = points_of.points[:, :2]
+    low, high = plan_of.box_min[:2] - margin, plan_of.box_max[:2] + margin
     inside: MaskArray = np.all((points >= low) & (points <= high), axis=1)
     return inside
 

@@ -132,7 +132,7 @@ def _objects_joined(graph: GraphView, change: c.ObjectsJoined) -> Effect:
     return Effect(
         drop=(*map(edge_key, left), gone.id),
         new=fresh,
-        put=(node,),
+        put=(node, *(replace(place, object_id=old.id) for place in graph.history_of(gone.id))),
         before={**facts(old), "absorbed": facts(gone)},
         after={**facts(node), "absorbed": None},
     )

@@ -4,8 +4,8 @@ A viewpoint is a pose from which the robot looked; a waypoint is a place on the 
 taken there; a `path` edge joins two waypoints that the robot was at one after the other.
 
 - A key frame *matches* a viewpoint within 0.5 m, 20 deg of heading and the same tilt, whichever visit made
-  it; of several, the one with the smallest heading error, then the nearest. Three key frames at -6, 0 and
-  +6 deg around one heading therefore share one viewpoint.
+  it; of several, the best in heading and distance together, but a robot that stands stays with its last
+  one. Three key frames at -6, 0 and +6 deg around one heading therefore share one viewpoint.
 - A *new* viewpoint is made where none matches and the pose is more than 0.5 m, 30 deg or the tilt
   tolerance away from the last viewpoint of this visit. At a stop the robot looks on purpose, so there a
   pose without a match always gets its viewpoint.
@@ -88,6 +88,7 @@ class WaypointTopology:
         self._visit: int | None = None
         self._base: FloatArray | None = None
         self._last: _Pose | None = None
+        self._last_id: str | None = None
         self._at: str | None = None
 
     def observe(self, frame: Frame) -> tuple[str | None, tuple[Change, ...]]:
@@ -103,7 +104,7 @@ class WaypointTopology:
         match = self._best_match(around, pose)
         if match is not None:
             viewpoint, offset = match
-            self._last = _pose_of(viewpoint)
+            self._last, self._last_id = _pose_of(viewpoint), viewpoint.id
             seen = ViewpointSeen(
                 cause=Cause(CAUSE, "match"), scores=self._match_scores(offset), viewpoint_id=viewpoint.id
             )
@@ -111,7 +112,7 @@ class WaypointTopology:
             return viewpoint.id, (seen, *self._arrive(waypoint))
         if self._is_new(pose, frame.at_stop):
             viewpoint_id, waypoint, added = self._new_viewpoint(frame, pose, here)
-            self._last = pose
+            self._last, self._last_id = pose, viewpoint_id
             return viewpoint_id, (*added, *self._arrive(waypoint))
         return None, () if here is None else self._arrive(here)
 
@@ -119,7 +120,8 @@ class WaypointTopology:
         """Notice where the robot was carried instead of driven: no edge leads across."""
         gap = self._options.drive_gap
         if visit != self._visit:
-            self._visit, self._last, gap = visit, None, self._options.visit_gap
+            self._visit, self._last, self._last_id = visit, None, None
+            gap = self._options.visit_gap
         if self._base is None or _floor_distance(self._base, base) >= gap:
             self._at = None
         self._base = base
@@ -145,13 +147,17 @@ class WaypointTopology:
         o = self._options
         offsets = [(viewpoint, _offset(_pose_of(viewpoint), pose)) for viewpoint in around]
         fitting = [(viewpoint, offset) for viewpoint, offset in offsets if self._matches(offset)]
-        # Heading and distance weigh as the tolerances do. Heading alone would let a viewpoint half a metre
-        # away take some of the key frames around one heading, and leave this place's own the others.
-        return min(
-            fitting,
-            key=lambda found: found[1].heading / o.match_heading + found[1].distance / o.match_distance,
-            default=None,
-        )
+
+        def rank(found: tuple[Viewpoint, _Offset]) -> tuple[bool, float]:
+            viewpoint, offset = found
+            # The headings of a stop may lie closer than a viewpoint reaches: the key frames around one of
+            # them must not be shared out because the next one's viewpoint is nearer to the last of them.
+            left = viewpoint.id != self._last_id or offset.distance > o.waypoint_radius
+            # Heading and distance weigh as the tolerances do. Heading alone would let a viewpoint half a
+            # metre away take some of those key frames, and leave this place's own the others.
+            return left, offset.heading / o.match_heading + offset.distance / o.match_distance
+
+        return min(fitting, key=rank, default=None)
 
     def _matches(self, offset: _Offset) -> bool:
         o = self._options

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -46,16 +47,15 @@ def world_view(eye: Eye | None = None) -> rrb.Spatial3DView:
         name="Scene",
         contents=[
             "+ $origin/**",
-            f"- {schema.RGB}/**",
             f"- {schema.DEPTH}/**",
             f"- {schema.SEGMENTATION}/**",
             f"- {schema.BOXES}/**",
+            f"- {schema.NAMES}/**",
         ],
         background=rrb.Background(color=(22, 24, 30), kind=rrb.BackgroundKind.SolidColor),
         line_grid=rrb.LineGrid3D(visible=True, spacing=1.0, color=(70, 75, 90, 90)),
         overrides={
-            schema.TRAIL: [_ALL_SO_FAR],
-            f"{schema.EDGES}/sees": [rrb.EntityBehavior(visible=False)],
+            schema.TRAIL: [rr.LineStrips3D.from_fields(), _ALL_SO_FAR],
         },
         eye_controls=None
         if eye is None
@@ -70,7 +70,7 @@ def camera_view() -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin=schema.CAMERA,
         name="Camera",
-        contents=[schema.RGB, schema.SEGMENTATION, schema.BOXES],
+        contents=[schema.RGB, schema.SEGMENTATION, schema.BOXES, schema.NAMES],
     )
 
 
@@ -81,7 +81,7 @@ def depth_view() -> rrb.Spatial2DView:
 
 def graph_views() -> rrb.Tabs:
     """The graph drawn as a floor plan: all of it, and one tab an edge kind."""
-    names = {"all": "Graph", "path": "Topology", "near": "Near", "sees": "Sees"}
+    names = {"map": "Graph", "path": "Topology", "near": "Near", "sees": "Sees", "all": "All edges"}
     return rrb.Tabs(
         *(rrb.GraphView(origin=f"{schema.GRAPH}/{part}", name=name) for part, name in names.items()),
         name="Graph",
@@ -90,7 +90,11 @@ def graph_views() -> rrb.Tabs:
 
 def change_log_view() -> rrb.TextLogView:
     """The graph changes, one line each, with scores and thresholds."""
-    return rrb.TextLogView(origin=f"{schema.LOG}/graph", name="Changes")
+    return rrb.TextLogView(
+        origin=f"{schema.LOG}/graph",
+        name="Changes",
+        columns=rrb.archetypes.TextLogColumns(text_log_columns=["Body"]),
+    )
 
 
 def change_table_view() -> rrb.DataframeView:
@@ -125,6 +129,7 @@ def plots() -> rrb.Tabs:
         plot("objects", "Objects"),
         plot("changes", "Changes a frame"),
         plot("timings", "Milliseconds a frame"),
+        states_view(),
         name="Plots",
     )
 
@@ -152,10 +157,10 @@ def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
             ),
             rrb.Horizontal(
                 rrb.Tabs(change_log_view(), change_table_view(), log_view(), name="Log"),
-                rrb.Vertical(plots(), states_view(), row_shares=[3, 1]),
+                plots(),
                 column_shares=[3, 2],
             ),
-            row_shares=[5, 2],
+            row_shares=[12, 5],
         ),
         *_panels(),
     )
@@ -212,10 +217,15 @@ def eye_on(graph: GraphView, focus: str | None = None) -> Eye | None:
             raise ConfigError(f"the graph has no node {focus!r} at that time", key="--focus")
         return _eye(spot, 2.5)
     spots = [node.center for node in graph.objects.values()] + [n.position for n in graph.waypoints.values()]
-    if not spots:
+    return eye_over(spots)
+
+
+def eye_over(spots: Sequence[Any], margin: float = 0.0) -> Eye | None:
+    """An eye that sees all spots (3,), and `margin` metres around them, from above; None for none."""
+    if not len(spots):
         return None
     low, high = np.min(spots, axis=0), np.max(spots, axis=0)
-    return _eye((low + high) / 2, max(3.0, 0.85 * float(np.linalg.norm(high - low))))
+    return _eye((low + high) / 2, max(3.0, 0.85 * float(np.linalg.norm(high - low)) + margin))
 
 
 def _eye(target: FloatArray, distance: float) -> Eye:

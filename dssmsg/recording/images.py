@@ -17,8 +17,8 @@ from PIL import Image
 
 from dssmsg.frame import ByteArray, Float32Array, IntArray, MaskArray, depth_from_millimetres
 
-Encoding = Literal["jpeg", "png"]
-MEDIA_TYPES: dict[Encoding, str] = {"jpeg": "image/jpeg", "png": "image/png"}
+Encoding = Literal["jpeg", "lossless"]
+MEDIA_TYPES: dict[Encoding, str] = {"jpeg": "image/jpeg", "lossless": "image/png"}
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _FAST = 1  # zlib level; level 6 is 8 times slower for a sixth less, on noisy depth
@@ -52,19 +52,24 @@ def decode_depth(data: bytes) -> Float32Array:
 
 
 def encode_png16(values: NDArray[np.uint16]) -> bytes:
-    """A 16-bit grey PNG of an (H, W) image: no row filter and the fastest deflate.
+    """A 16-bit grey PNG of an (H, W) image: differences to the left, run lengths and Huffman.
 
-    Filters make *noisy* depth larger, and Pillow spends twice the time on choosing them.
+    Noise leaves deflate's search for repetitions nothing to find: without it, this takes a third of the time
+    of the fastest level, and a fifth less space.
     """
     height, width = values.shape
-    rows = np.zeros((height, 1 + 2 * width), dtype=np.uint8)  # the first byte of a row names its filter: 0
-    rows[:, 1:] = values.astype(">u2").view(np.uint8).reshape(height, 2 * width)
+    raw = values.astype(">u2").view(np.uint8).reshape(height, 2 * width)
+    rows = np.empty((height, 1 + 2 * width), dtype=np.uint8)
+    rows[:, 0] = 1  # the first byte of a row names its filter: Sub
+    rows[:, 1:3] = raw[:, :2]
+    np.subtract(raw[:, 2:], raw[:, :-2], out=rows[:, 3:])
+    deflate = zlib.compressobj(_FAST, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     return b"".join(
         (
             _PNG_SIGNATURE,
             _chunk(b"IHDR", header),
-            _chunk(b"IDAT", zlib.compress(rows.data, _FAST)),
+            _chunk(b"IDAT", deflate.compress(rows.data) + deflate.flush()),
             _chunk(b"IEND", b""),
         )
     )

@@ -19,17 +19,17 @@ from dssmsg.recording import palette
 LABELS_UP_TO = 100
 """Above this many nodes, labels hide what they name."""
 
-GRAPH_SCALE = 160.0
+GRAPH_SCALE = 75.0
 """Graph-view units a metre: the graph is drawn as a floor plan seen from above."""
 
-SURFACE_POINTS = 40_000
+SURFACE_POINTS = 30_000
 """At most this many points show the surfaces of all objects together."""
 
 _Points = NDArray[np.float32]
 
 
 def objects_look(graph: GraphView) -> rr.Boxes3D:
-    """A box an object, coloured by dynamic state, dim while tentative; labels are in `in_view_look`."""
+    """A box an object, coloured by dynamic state, dim while tentative; names stand in `labels_look`."""
     nodes = list(graph.objects.values())
     centers, half_sizes = _boxes(nodes)
     return rr.Boxes3D(
@@ -38,7 +38,8 @@ def objects_look(graph: GraphView) -> rr.Boxes3D:
         class_ids=[palette.object_class(node) for node in nodes],
         labels=[f"{node.id} {node.label}" for node in nodes],
         show_labels=False,
-        radii=[rr.Radius.ui_points(1.6 if node.status == BELIEVED else 0.7) for node in nodes],
+        radii=np.array([-1.2 if node.status == BELIEVED else -0.6 for node in nodes], dtype=np.float32),
+        fill_mode=rr.components.FillMode.MajorWireframe,
     )
 
 
@@ -132,7 +133,10 @@ def place(graph: GraphView, node_id: str) -> FloatArray | None:
 
 
 def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdges]]:
-    """The graph views: `all`, and one an edge kind. An edge finds only nodes of its own entity."""
+    """The graph views: `map` (without `sees`), `all`, and one an edge kind.
+
+    An edge finds only nodes of its own entity, so each has its own.
+    """
     edges: dict[str, dict[tuple[str, str], Edge]] = {PATH: {}, SEES: {}, NEAR: {}}
     for edge in graph.edges.values():
         source = edge.source
@@ -151,6 +155,7 @@ def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdge
     waypoints = list(graph.waypoints)
     things = [node.id for node in believed]
     return {
+        "map": _graph_look(graph, waypoints + things, kept[PATH] + kept[NEAR]),
         "all": _graph_look(graph, waypoints + things, kept[PATH] + kept[NEAR] + kept[SEES]),
         PATH: _graph_look(graph, waypoints, kept[PATH]),
         SEES: _graph_look(graph, waypoints + things, kept[SEES]),
@@ -172,12 +177,41 @@ def _graph_look(
         thing = graph.objects.get(node_id)
         labels.append(node_id.replace("waypoint-", "w") if thing is None else thing.label)
         colours.append(palette.WAYPOINT_COLOUR if thing is None else by_class[palette.object_class(thing)])
+    if len(ids) <= LABELS_UP_TO:
+        positions = spread_labels(positions, [len(label) for label in labels])
     return [
         rr.GraphNodes(
             ids, positions=positions, labels=labels, colors=colours, show_labels=len(ids) <= LABELS_UP_TO
         ),
         rr.GraphEdges(list(pairs), graph_type="undirected"),
     ]
+
+
+def spread_labels(positions: _Points, lengths: Sequence[int]) -> _Points:
+    """Positions (N, 2) moved apart just so far that labels of these lengths (characters) do not overlap.
+
+    Deterministic, and small moves where there is room: the floor plan stays recognisable.
+    """
+    spots = positions.astype(np.float64)
+    half = np.stack([3.8 * np.array(lengths) + 12.0, np.full(len(lengths), 15.0)], axis=1)
+    reach = half[:, None] + half[None]
+    # Where two stand in one spot, their order says who goes which way.
+    order = np.arange(len(spots))
+    tie = np.sign(order[:, None] - order[None])[..., None]
+    for _ in range(40):
+        gap = spots[:, None] - spots[None]
+        overlap = np.clip(reach - np.abs(gap), 0.0, None)
+        overlap[order, order] = 0.0
+        hit = (overlap > 0).all(axis=2)
+        if not hit.any():
+            break
+        # Along the axis where less is needed; each of the two goes half the way.
+        axis = (overlap[..., 1] < overlap[..., 0]).astype(int)
+        way = np.where(gap == 0, tie, np.sign(gap))
+        push = np.take_along_axis(0.5 * overlap * way, axis[..., None], axis=2)[..., 0] * hit
+        spots[:, 0] += 0.6 * (push * (axis == 0)).sum(axis=1)
+        spots[:, 1] += 0.6 * (push * (axis == 1)).sum(axis=1)
+    return spots.astype(np.float32)
 
 
 def surface_look(graph: GraphView) -> rr.Points3D:
@@ -190,7 +224,7 @@ def surface_look(graph: GraphView) -> rr.Points3D:
     return rr.Points3D(
         np.concatenate([node.points[::stride] for node in nodes]),
         colors=np.concatenate([node.colors[::stride] for node in nodes]),
-        radii=0.012,
+        radii=0.018,
     )
 
 
@@ -200,6 +234,7 @@ def _boxes(nodes: Iterable[ObjectNode]) -> tuple[_Points, _Points]:
     for node in nodes:
         lows.append(node.box_min)
         highs.append(node.box_max)
-    low = np.array(lows, dtype=np.float32).reshape(-1, 3)
-    high = np.array(highs, dtype=np.float32).reshape(-1, 3)
-    return (low + high) / 2, (high - low) / 2
+    low: _Points = np.array(lows, dtype=np.float32).reshape(-1, 3)
+    high: _Points = np.array(highs, dtype=np.float32).reshape(-1, 3)
+    half = np.float32(0.5)
+    return (low + high) * half, (high - low) * half

@@ -19,9 +19,9 @@ OBJECT_CLASSES: dict[str, tuple[int, str, Colour]] = {
 }
 """Class id, name and colour by status and dynamic state."""
 
-EDGE_COLOURS: dict[str, Colour] = {
+EDGE_COLOURS: dict[str, tuple[int, ...]] = {
     PATH: (90, 220, 160),
-    SEES: (235, 200, 90),
+    SEES: (235, 200, 90, 70),  # there are many of them
     NEAR: (110, 150, 240),
     "blocked": (240, 70, 70),
 }
@@ -87,6 +87,11 @@ def world_annotations() -> rr.AnnotationContext:
             for number, name, colour in OBJECT_CLASSES.values()
         ]
     )
+
+
+def state_configuration() -> rr.StateConfiguration:
+    """Colours of phases and of the driver's states in the state timeline."""
+    return rr.StateConfiguration(values=list(STATE_COLOURS), colors=list(STATE_COLOURS.values()))
 
 
 def detection_class(index: int) -> int:

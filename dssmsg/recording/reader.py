@@ -35,7 +35,7 @@ Json = dict[str, Any]
 
 
 class Recording:
-    """One run, read back. Use as a context manager, or `close()` it, where repaired copies shall go at once."""
+    """One run, read back. A context manager: on leaving, or on `close()`, a repaired copy goes."""
 
     def __init__(self, path: Path, file: ChunkFile, complete: bool, folder: Any = None) -> None:
         self.path = path

@@ -31,7 +31,7 @@ _OPTIMIZE_TIMEOUT_SECS = 600.0
 
 
 def is_finished(path: Path) -> bool:
-    """Whether the recording was closed properly: it ends in a footer. Raises InputError if it is no recording."""
+    """Whether a recording was closed properly: it ends in a footer. Raises InputError if it is none."""
     check_recording(path)
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
@@ -40,7 +40,7 @@ def is_finished(path: Path) -> bool:
 
 
 def check_recording(path: Path) -> None:
-    """Raise InputError unless the path is a readable file that begins like an `.rrd` of this Rerun generation."""
+    """Raise InputError unless the path is a readable file that begins like an `.rrd` of this generation."""
     try:
         with path.open("rb") as file:
             start = file.read(_HEADER_BYTES)
@@ -103,7 +103,7 @@ def optimize(path: Path) -> None:
     try:
         _run_optimize(path, temporary)
         shutil.copymode(path, temporary)
-        os.replace(temporary, path)
+        temporary.replace(path)
     except (OSError, _OptimizeError) as error:
         raise StorageError(f"could not be compacted ({error}); it is complete as it is", file=path) from error
     finally:
@@ -112,7 +112,7 @@ def optimize(path: Path) -> None:
 
 def rerun_program() -> Path:
     """Rerun's own program. Not the `rerun` script: that one does not pass signals on."""
-    import rerun_cli
+    import rerun_cli  # type: ignore[import-untyped]
 
     folder = Path(rerun_cli.__file__).parent
     return folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
@@ -128,7 +128,7 @@ class _OptimizeError(Exception):
 
 
 def _run_optimize(source: Path, target: Path) -> None:
-    """Write `source`, compacted and with a footer, to `target`; in a process of its own, for its memory's sake."""
+    """Write `source`, compacted and with a footer, to `target`; in a process of its own, for the memory."""
     command = [str(rerun_program()), "rrd", "optimize", str(source), "-o", str(target)]
     try:
         done = subprocess.run(

@@ -18,7 +18,7 @@ from dssmsg.recording import looks, palette, schema
 SLOW_PERIOD = 1.0
 """Seconds of sim time between two looks at edges, graph views and surfaces."""
 
-_GROWTH = 1.1  # surfaces are sent again when the map has grown by a tenth: few, and no stale ones
+_GROWTH = 1.15  # surfaces are large: sent again once the map has grown by this, or something has moved
 
 
 class SceneLog:
@@ -34,7 +34,6 @@ class SceneLog:
         """What never changes: axes, class names and colours."""
         self._send(schema.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._send(schema.WORLD, palette.world_annotations(), static=True)
-        self._send(schema.CAMERA, palette.camera_annotations(), static=True)
 
     def update(self, graph: GraphView, frame: int, sim_time: float, *, everything: bool = False) -> bool:
         """Send what changed; True if something that may wait was left for a later call."""
@@ -42,7 +41,7 @@ class SceneLog:
         self._stream.set_time(schema.SIM_TIME, duration=max(sim_time, 0.0))
         objects = _objects_signature(graph)
         self._draw(schema.OBJECTS, objects, lambda: looks.objects_look(graph))
-        self._draw(schema.IN_VIEW, objects, lambda: looks.labels_look(graph))
+        self._draw(schema.LABELS, objects, lambda: looks.labels_look(graph))
         places = tuple(graph.waypoints), tuple(graph.viewpoints)
         self._draw(schema.WAYPOINTS, places[0], lambda: looks.waypoints_look(graph))
         self._draw(schema.VIEWPOINTS, places[1], lambda: looks.viewpoints_look(graph))
@@ -63,7 +62,7 @@ class SceneLog:
                 self._send(f"{schema.GRAPH}/{name}", *parts)
         believed = [node for node in graph.objects.values() if node.status == BELIEVED]
         points = sum(len(node.points) for node in believed)
-        form = tuple(node.id for node in believed), tuple(graph.history)
+        form = tuple(graph.history)
         grown = points > self._surface_points * _GROWTH
         if grown or self._signatures.get(schema.SURFACE) != form:
             self._signatures[schema.SURFACE] = form

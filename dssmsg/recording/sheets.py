@@ -6,6 +6,7 @@ entity keeps the file small and quick to open. Nothing here remembers what has b
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +14,11 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from dssmsg.recording.schema import FRAME, ROW, SIM_TIME, UPDATE, Table
+from dssmsg.recording.schema import BLOBS, FRAME, PLOTS, ROW, SIM_TIME, TABLES, UPDATE, Table
+
+_REMEMBERED_BLOBS = 8192  # a blob forgotten and met again is written twice, which harms nobody
+
+Colour = tuple[int, int, int]
 
 
 class _Column:
@@ -66,7 +71,7 @@ class Sheet:
     def __init__(self, table: Table) -> None:
         self._table = table
         self._stamps: list[Stamp] = []
-        self._cells: dict[str, list[Sequence[Any]]] = {name: [] for name in table.columns}
+        self._cells: dict[str, list[Any]] = {name: [] for name in table.columns}
 
     def add(self, stamp: Stamp, row: Mapping[str, Any]) -> None:
         """Append a row. Raises KeyError if it lacks a column of the table."""
@@ -74,7 +79,7 @@ class Sheet:
             value = row[name]
             if value is None:
                 cells.append(())
-            elif isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
+            elif isinstance(value, str | bytes) or not isinstance(value, Sequence | np.ndarray):
                 cells.append((value,))
             else:
                 cells.append(value)
@@ -84,7 +89,7 @@ class Sheet:
         """Send what has been collected, if anything, and forget it."""
         if not self._stamps:
             return
-        columns = [
+        columns: list[Any] = [
             _Column(
                 rr.ComponentDescriptor(self._table.component(name), archetype=self._table.archetype),
                 pa.array(self._cells[name], type=pa.list_(arrow_type)),
@@ -120,3 +125,62 @@ class LookSheet:
         stream.send_columns(self._path, time_columns(self._stamps), columns, strict=True)
         self._stamps = []
         self._fields = {}
+
+
+class SheetBook:
+    """All sheets of one recording, and the few things that are logged at once."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._sheets = {table.path: Sheet(table) for table in TABLES}
+        self._looks: dict[str, LookSheet] = {}
+        self._seen_blobs: OrderedDict[str, None] = OrderedDict()
+
+    def add(self, table: Table, stamp: Stamp, row: Mapping[str, Any]) -> None:
+        """Append a row to a table."""
+        self._sheets[table.path].add(stamp, row)
+
+    def add_blobs(self, stamp: Stamp, blobs: Mapping[str, bytes]) -> None:
+        """Append blobs by hash, those left out that were met lately."""
+        for name, data in blobs.items():
+            if name in self._seen_blobs:
+                self._seen_blobs.move_to_end(name)
+                continue
+            self._seen_blobs[name] = None
+            if len(self._seen_blobs) > _REMEMBERED_BLOBS:
+                self._seen_blobs.popitem(last=False)
+            self.add(BLOBS, stamp, {"hash": name, "data": data})
+
+    def look(self, path: str, archetype: Any, stamp: Stamp, **fields: Any) -> None:
+        """Append a row of an archetype to an entity, for the viewer."""
+        sheet = self._looks.get(path)
+        if sheet is None:
+            sheet = self._looks[path] = LookSheet(path, archetype)
+        sheet.add(stamp, **fields)
+
+    def text(self, path: str, stamp: Stamp, text: str, level: str, colour: Colour = (245, 245, 245)) -> None:
+        """Append a line to a text log."""
+        self.look(path, rr.TextLog, stamp, text=text, level=level, color=colour)
+
+    def plot(self, name: str, stamp: Stamp, value: float) -> None:
+        """Append a point to a plot, named by its path below `/plots`."""
+        self.look(f"{PLOTS}/{path_part(name)}", rr.Scalars, stamp, scalars=float(value))
+
+    def log_now(self, path: str, stamp: Stamp | None, *parts: Any) -> None:
+        """Log archetypes that come seldom, or of many values; without a stamp: once and for ever."""
+        if stamp is not None:
+            self._stream.set_time(FRAME, sequence=stamp.frame)
+            self._stream.set_time(SIM_TIME, duration=stamp.sim_time)
+        self._stream.log(path, *parts, static=stamp is None, strict=True)
+
+    def send(self) -> None:
+        """Send all rows."""
+        for sheet in self._sheets.values():
+            sheet.send(self._stream)
+        for look in self._looks.values():
+            look.send(self._stream)
+
+
+def path_part(text: str) -> str:
+    """A text as one or more plain parts of an entity path."""
+    return "".join(char if char.isalnum() or char in "_-/" else "_" for char in text) or "_"

@@ -42,7 +42,7 @@ class ChunkFile:
         self._blobs: dict[str, _BlobColumn] = {}
 
     def rows(self, table: Table) -> Sequence[Mapping[str, Any]]:
-        """The rows of a table in the order of writing: column -> list of values; a missing column is empty."""
+        """The rows of a table in the order of writing: column -> list of values, empty where missing."""
         return [row for _, row in self._framed_rows(table)]
 
     def rows_by_frame(self, table: Table) -> Mapping[int, Mapping[str, Any]]:

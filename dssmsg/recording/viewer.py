@@ -102,8 +102,8 @@ class Viewer:
         while time.monotonic() < deadline:
             if self.process.poll() is not None:
                 raise ViewerError(
-                    "the viewer ended at once; it needs a screen and a graphics driver. Try --web, and open the"
-                    " page in a browser"
+                    "the viewer ended at once; it needs a screen and a graphics driver. Try --web,"
+                    " and open the page in a browser"
                 )
             with socket.socket() as probe:
                 if probe.connect_ex((LOOPBACK, self.port)) == 0:

@@ -7,8 +7,7 @@ this process) once `flush` returns. Memory does not grow with the number of fram
 from __future__ import annotations
 
 import os
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,13 @@ from dssmsg.errors import StorageError
 from dssmsg.graph import codec
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import describe, palette, rows, schema
-from dssmsg.recording.blueprint import review_layout
-from dssmsg.recording.images import MEDIA_TYPES, Encoding, encode_depth, encode_rgb
+from dssmsg.recording.blueprint import eye_over, review_layout
+from dssmsg.recording.camera_log import CameraLog
+from dssmsg.recording.images import Encoding
 from dssmsg.recording.scene_log import SceneLog
-from dssmsg.recording.sheets import LookSheet, Sheet, Stamp
+from dssmsg.recording.sheets import SheetBook, Stamp, path_part
 
 FLUSH_TIMEOUT_SECS = 20.0
-_REMEMBERED_BLOBS = 8192  # a blob forgotten and met again is written twice, which harms nobody
 _CHANGE_GROUPS = {
     "object_added": "objects added",
     "object_merged": "merges",
@@ -55,7 +54,6 @@ class RecordingWriter:
     ) -> None:
         self.path = path
         self._images: Encoding = images
-        self._quality = quality
         _create_exclusively(path)
         self._stream = rr.RecordingStream(
             schema.APPLICATION_ID,
@@ -63,19 +61,13 @@ class RecordingWriter:
             # Rows are batched here, a second at a time, and flushed by hand: Rerun's own tick stays out of it.
             batcher_config=rr.ChunkBatcherConfig(flush_tick=60.0),
         )
-        self._stream.set_sinks(rr.FileSink(path), *extra_sinks, default_blueprint=review_layout())
-        self._sheets = {table.path: Sheet(table) for table in schema.TABLES}
-        self._looks: dict[str, LookSheet] = {}
+        self._stream.set_sinks(rr.FileSink(path), *extra_sinks)
+        self._book = SheetBook(self._stream)
+        self._camera = CameraLog(self._book, images, quality)
         self._graph = SceneGraph()
         self._scene = SceneLog(self._stream)
         self._scene_waits = False
-        self._seen_blobs: OrderedDict[str, None] = OrderedDict()
-        self._truth_objects = ""
-        self._queries = 0
         self._candidate_rows = 0
-        self._camera: Any = None
-        self._last_base: np.ndarray[Any, Any] | None = None
-        self._boxes_shown = False
         self._last = (0, 0.0)
         self._writers: dict[type, Callable[[Any], None]] = {
             events.RunStarted: self._run_started,
@@ -95,7 +87,9 @@ class RecordingWriter:
             events.RunFinished: self._run_finished,
         }
         self._scene.log_static()
-        self._log_static_looks()
+        self._camera.log_static()
+        for lane in (schema.PHASE_STATE, schema.NAV_STATE):
+            self._book.log_now(lane, None, palette.state_configuration())
 
     def write(self, event: events.Event) -> None:
         """Take an event into the next flush."""
@@ -104,10 +98,7 @@ class RecordingWriter:
     def flush(self) -> None:
         """Bring everything told so far into the file. Raises StorageError if that failed."""
         try:
-            for sheet in self._sheets.values():
-                sheet.send(self._stream)
-            for look in self._looks.values():
-                look.send(self._stream)
+            self._book.send()
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_SECS)
         except (RuntimeError, OSError) as error:
             raise StorageError(
@@ -116,9 +107,9 @@ class RecordingWriter:
 
     def close(self) -> None:
         """Draw what was left waiting, flush, and write the file's footer."""
-        if self._scene_waits:
-            self._scene.update(self._graph, *self._last, everything=True)
         try:
+            if self._scene_waits:
+                self._scene.update(self._graph, *self._last, everything=True)
             self.flush()
         finally:
             self._stream.disconnect()
@@ -150,6 +141,9 @@ class RecordingWriter:
                 "facts": source.facts,
             },
         }
+        # Two layouts in one file would compete, so this one knows what is known before the first frame.
+        stops = [(stop.x, stop.y, 0.0) for tour in source.tours for stop in tour]
+        self._stream.send_blueprint(review_layout(eye_over(stops, margin=3.0)))
         self._stream.send_recording_name(event.run_id)
         self._stream.send_property(
             schema.RUN_PROPERTY,
@@ -171,93 +165,23 @@ class RecordingWriter:
 
     def _phase_started(self, event: events.PhaseStarted) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(schema.PHASES, stamp, {"phase": event.phase, "visit": event.visit, "index": event.frame})
-        self._look(schema.PHASE_STATE, rr.StateChange, stamp, state=event.phase)
-        self._text(f"{schema.LOG}/run", stamp, f"phase {event.phase}, visit {event.visit}", "INFO")
+        self._book.add(
+            schema.PHASES, stamp, {"phase": event.phase, "visit": event.visit, "index": event.frame}
+        )
+        self._book.look(schema.PHASE_STATE, rr.StateChange, stamp, state=event.phase)
+        self._book.text(f"{schema.LOG}/run", stamp, f"phase {event.phase}, visit {event.visit}", "INFO")
 
     def _frame_captured(self, event: events.FrameCaptured) -> None:
-        frame = event.frame
-        stamp = self._stamp(frame.index, frame.sim_time)
-        self._add(schema.FRAMES, stamp, rows.frame_row(event))
-        if event.command is not None:
-            self._add(schema.COMMANDS, stamp, rows.command_row(event.command))
-        self._look(
-            schema.RGB,
-            rr.EncodedImage,
-            stamp,
-            blob=encode_rgb(frame.rgb, self._images, self._quality),
-            media_type=MEDIA_TYPES[self._images],
-        )
-        self._look(schema.DEPTH, rr.EncodedDepthImage, stamp, blob=encode_depth(frame.depth))
-        self._pose(schema.CAMERA, stamp, frame.world_from_camera)
-        self._pose(schema.ROBOT, stamp, frame.world_from_base)
-        if frame.camera != self._camera:
-            self._camera = frame.camera
-            self._set_time(stamp)
-            self._stream.log(
-                schema.CAMERA,
-                rr.Pinhole(
-                    image_from_camera=frame.camera.matrix,
-                    resolution=(frame.camera.width, frame.camera.height),
-                    camera_xyz=rr.ViewCoordinates.RDF,
-                    image_plane_distance=0.35,
-                    color=palette.ROBOT_COLOUR,
-                ),
-                strict=True,
-            )
-        base = frame.world_from_base[:3, 3] + (0.0, 0.0, 0.02)  # just above the floor, so that it is seen
-        if self._last_base is not None and not np.array_equal(base, self._last_base):
-            self._look(
-                schema.TRAIL,
-                rr.LineStrips3D,
-                stamp,
-                strips=np.stack([self._last_base, base]).astype(np.float32),
-            )
-        self._last_base = base
-        if self._boxes_shown and not event.key_frame:
-            self._clear_detections(stamp)
+        stamp = self._stamp(event.frame.index, event.frame.sim_time)
+        self._camera.frame(event, stamp)
         if self._scene_waits:
             self._draw_scene(stamp)
 
     def _truth_seen(self, event: events.TruthSeen) -> None:
-        objects = rows.truth_objects_json(event.truth.objects)
-        changed = objects != self._truth_objects
-        self._truth_objects = objects
-        self._add(
-            schema.TRUTH,
-            self._stamp(event.frame, event.sim_time),
-            rows.truth_row(event.truth, objects if changed else None),
-        )
+        self._camera.truth(event, self._stamp(event.frame, event.sim_time))
 
     def _detected(self, event: events.Detected) -> None:
-        stamp = self._stamp(event.frame, event.sim_time)
-        row, blobs = rows.detections_row(event)
-        self._add(schema.DETECTIONS, stamp, row)
-        self._add_blobs(stamp, blobs)
-        self._set_time(stamp)
-        if not event.detections:
-            self._clear_detections(stamp)
-            return
-        classes = [palette.detection_class(index) for index in range(len(event.detections))]
-        picture = np.zeros(event.detections[0].mask.shape, dtype=np.uint8)
-        order = sorted(range(len(classes)), key=lambda index: -int(event.detections[index].mask.sum()))
-        for index in order:  # small ones on top
-            picture[event.detections[index].mask] = classes[index]
-        self._stream.log(
-            schema.SEGMENTATION, rr.SegmentationImage(picture, opacity=0.4, draw_order=1.0), strict=True
-        )
-        self._stream.log(
-            schema.BOXES,
-            rr.Boxes2D(
-                array=np.stack([detection.box_xyxy for detection in event.detections]),
-                array_format=rr.Box2DFormat.XYXY,
-                labels=[f"{detection.label} {detection.score:.2f}" for detection in event.detections],
-                class_ids=classes,
-                draw_order=2.0,
-            ),
-            strict=True,
-        )
-        self._boxes_shown = True
+        self._camera.detections(event, self._stamp(event.frame, event.sim_time))
 
     def _graph_changed(self, event: events.GraphChanged) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
@@ -265,7 +189,7 @@ class RecordingWriter:
         for change in event.changes:
             row, blobs = codec.encode(change)
             own = self._stamp(change.frame, change.sim_time, update=change.update)
-            self._add(
+            self._book.add(
                 schema.GRAPH_LOG,
                 own,
                 {
@@ -276,8 +200,8 @@ class RecordingWriter:
                     "json": codec.canonical_json(row),
                 },
             )
-            self._add_blobs(stamp, blobs)
-            self._text(
+            self._book.add_blobs(stamp, blobs)
+            self._book.text(
                 f"{schema.LOG}/graph",
                 stamp,
                 describe.change_line(change),
@@ -289,43 +213,44 @@ class RecordingWriter:
         for change in event.changes:
             self._graph.apply(change)
         for group, count in counts.items():
-            self._plot(f"changes/{group}", stamp, count)
+            self._book.plot(f"changes/{group}", stamp, count)
         nodes = self._graph.objects.values()
         believed = sum(node.status == "believed" for node in nodes)
-        self._plot("objects/believed", stamp, believed)
-        self._plot("objects/tentative", stamp, len(nodes) - believed)
-        self._plot("objects/waypoints", stamp, len(self._graph.waypoints))
+        self._book.plot("objects/believed", stamp, believed)
+        self._book.plot("objects/tentative", stamp, len(nodes) - believed)
+        self._book.plot("objects/waypoints", stamp, len(self._graph.waypoints))
         self._draw_scene(stamp)
 
     def _window_evaluated(self, event: events.WindowEvaluated) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
         row = rows.window_row(event)
-        self._add(schema.WINDOWS, stamp, row)
+        self._book.add(schema.WINDOWS, stamp, row)
         if row["verdicts"]:
-            self._text(f"{schema.LOG}/windows", stamp, f"{event.viewpoint_id}: {row['verdicts']}", "INFO")
+            self._book.text(
+                f"{schema.LOG}/windows", stamp, f"{event.viewpoint_id}: {row['verdicts']}", "INFO"
+            )
 
     def _matched(self, event: events.Matched) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(schema.MATCHES, stamp, rows.match_row(event))
-        self._queries += 1
+        self._book.add(schema.MATCHES, stamp, rows.match_row(event))
         for candidate in event.candidates:
             self._candidate_rows += 1
             own = self._stamp(event.frame, event.sim_time, row=self._candidate_rows)
-            self._add(schema.CANDIDATES, own, rows.candidate_row(event.query, candidate))
+            self._book.add(schema.CANDIDATES, own, rows.candidate_row(event.query, candidate))
         if event.candidates:
             best = event.candidates[0]
             for name, value in best.scores.items():
-                self._look(f"{schema.SCORES}/{name}", rr.Scalars, stamp, scalars=float(value))
+                self._book.look(f"{schema.SCORES}/{name}", rr.Scalars, stamp, scalars=float(value))
             text = f"“{event.query}” -> {best.viewpoint_id}: {best.reason}"
         else:
             text = f"“{event.query}” matches nothing"
-        self._text(f"{schema.LOG}/match", stamp, text, "INFO")
+        self._book.text(f"{schema.LOG}/match", stamp, text, "INFO")
 
     def _llm_called(self, event: events.LlmCalled) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(schema.LLM_CALLS, stamp, rows.llm_row(event))
+        self._book.add(schema.LLM_CALLS, stamp, rows.llm_row(event))
         answer = event.answer if event.ok else f"**failed:** {event.error}\n\n{event.answer}"
-        self._look(
+        self._book.look(
             f"{schema.LLM_TEXT}/{event.role}",
             rr.TextDocument,
             stamp,
@@ -335,35 +260,36 @@ class RecordingWriter:
 
     def _navigation_changed(self, event: events.NavigationChanged) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(schema.NAVIGATION, stamp, rows.navigation_row(event))
-        self._look(schema.NAV_STATE, rr.StateChange, stamp, state=event.state)
-        known = [self._graph.waypoints[name].position for name in event.path if name in self._graph.waypoints]
-        if self._last_base is not None and known:
-            known.insert(0, self._last_base)
-        self._set_time(stamp)
-        self._stream.log(
+        self._book.add(schema.NAVIGATION, stamp, rows.navigation_row(event))
+        self._book.look(schema.NAV_STATE, rr.StateChange, stamp, state=event.state)
+        spots = [self._graph.waypoints[name].position for name in event.path if name in self._graph.waypoints]
+        if self._camera.robot_spot is not None and spots:
+            spots.insert(0, self._camera.robot_spot)
+        self._book.log_now(
             schema.NAV_PATH,
+            stamp,
             rr.LineStrips3D(
-                [np.array(known, dtype=np.float32)] if len(known) > 1 else [],
+                [np.array(spots, dtype=np.float32)] if len(spots) > 1 else [],
                 colors=palette.NAV_PATH_COLOUR,
                 radii=rr.Radius.ui_points(2.5),
             ),
-            strict=True,
         )
         if event.detail:
-            self._text(f"{schema.LOG}/nav", stamp, f"{event.state}: {event.detail}", "INFO")
+            self._book.text(f"{schema.LOG}/nav", stamp, f"{event.state}: {event.detail}", "INFO")
 
     def _episode_ended(self, event: events.EpisodeEnded) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(schema.EPISODES, stamp, rows.episode_row(event))
+        self._book.add(schema.EPISODES, stamp, rows.episode_row(event))
         text = f"episode {event.episode} “{event.goal}”: {event.outcome}"
-        self._text(f"{schema.LOG}/run", stamp, f"{text}, {event.reason}" if event.reason else text, "INFO")
+        self._book.text(
+            f"{schema.LOG}/run", stamp, f"{text}, {event.reason}" if event.reason else text, "INFO"
+        )
 
     def _error_occurred(self, event: events.ErrorOccurred) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(schema.ERRORS, stamp, rows.error_row(event))
+        self._book.add(schema.ERRORS, stamp, rows.error_row(event))
         skipped = f"; skipped: {event.skipped}" if event.skipped else ""
-        self._text(
+        self._book.text(
             f"{schema.LOG}/errors",
             stamp,
             f"{event.plugin}: {event.message}{skipped}",
@@ -372,20 +298,20 @@ class RecordingWriter:
 
     def _stage_timed(self, event: events.StageTimed) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(
+        self._book.add(
             schema.TIMINGS,
             stamp,
             {"stage": list(event.seconds), "seconds": [float(value) for value in event.seconds.values()]},
         )
         for stage, seconds in event.seconds.items():
-            self._plot(f"timings/{stage}", stamp, 1000.0 * seconds)
+            self._book.plot(f"timings/{stage}", stamp, 1000.0 * seconds)
 
     def _logged(self, event: events.Logged) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
-        self._add(
+        self._book.add(
             schema.LOGS, stamp, {"logger": event.logger, "level": event.level, "message": event.message}
         )
-        self._text(f"{schema.LOG}/{_name(event.logger)}", stamp, event.message, event.level.upper())
+        self._book.text(f"{schema.LOG}/{path_part(event.logger)}", stamp, event.message, event.level.upper())
 
     def _run_finished(self, event: events.RunFinished) -> None:
         self._last = (event.frame, event.sim_time)
@@ -401,67 +327,8 @@ class RecordingWriter:
         self._last = (max(frame, self._last[0]), max(sim_time, self._last[1]))
         return Stamp(frame, sim_time, update=update, row=row)
 
-    def _add(self, table: schema.Table, stamp: Stamp, row: Mapping[str, Any]) -> None:
-        self._sheets[table.path].add(stamp, row)
-
-    def _look(self, path: str, archetype: Any, stamp: Stamp, **fields: Any) -> None:
-        sheet = self._looks.get(path)
-        if sheet is None:
-            sheet = self._looks[path] = LookSheet(path, archetype)
-        sheet.add(stamp, **fields)
-
-    def _pose(self, path: str, stamp: Stamp, world_from_local: np.ndarray[Any, Any]) -> None:
-        self._look(
-            path,
-            rr.Transform3D,
-            stamp,
-            translation=world_from_local[:3, 3],
-            mat3x3=world_from_local[:3, :3],
-        )
-
-    def _plot(self, name: str, stamp: Stamp, value: float) -> None:
-        self._look(f"{schema.PLOTS}/{_name(name)}", rr.Scalars, stamp, scalars=float(value))
-
-    def _text(
-        self, path: str, stamp: Stamp, text: str, level: str, colour: palette.Colour = palette.ROBOT_COLOUR
-    ) -> None:
-        self._look(path, rr.TextLog, stamp, text=text, level=level, color=colour)
-
-    def _add_blobs(self, stamp: Stamp, blobs: Mapping[str, bytes]) -> None:
-        for name, data in blobs.items():
-            if name in self._seen_blobs:
-                self._seen_blobs.move_to_end(name)
-                continue
-            self._seen_blobs[name] = None
-            if len(self._seen_blobs) > _REMEMBERED_BLOBS:
-                self._seen_blobs.popitem(last=False)
-            self._add(schema.BLOBS, stamp, {"hash": name, "data": data})
-
     def _draw_scene(self, stamp: Stamp) -> None:
         self._scene_waits = self._scene.update(self._graph, stamp.frame, stamp.sim_time)
-
-    def _clear_detections(self, stamp: Stamp) -> None:
-        if not self._boxes_shown:
-            return
-        self._set_time(stamp)
-        self._stream.log(schema.BOXES, rr.Clear(recursive=False), strict=True)
-        self._stream.log(schema.SEGMENTATION, rr.Clear(recursive=False), strict=True)
-        self._boxes_shown = False
-
-    def _set_time(self, stamp: Stamp) -> None:
-        self._stream.set_time(schema.FRAME, sequence=stamp.frame)
-        self._stream.set_time(schema.SIM_TIME, duration=stamp.sim_time)
-
-    def _log_static_looks(self) -> None:
-        def log(path: str, look: Any) -> None:
-            self._stream.log(path, look, static=True, strict=True)
-
-        log(schema.DEPTH, rr.EncodedDepthImage.from_fields(media_type="image/png", meter=1000.0))
-
-
-def _name(text: str) -> str:
-    """A text as one or more plain parts of an entity path."""
-    return "".join(char if char.isalnum() or char in "_-/" else "_" for char in text) or "_"
 
 
 def _create_exclusively(path: Path) -> None:

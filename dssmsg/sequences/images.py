@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +19,14 @@ _INVALID_16_BIT = 65535
 
 def read_rgb(path: Path) -> ByteArray:
     """A colour image as (H, W, 3) uint8. Raises InputError naming the file."""
-    return np.asarray(_open(path).convert("RGB"))
+    with _opened(path) as image:
+        return np.asarray(image.convert("RGB"))
 
 
 def image_size(path: Path) -> tuple[int, int]:
     """(width, height) of an image file from its header. Raises InputError naming the file."""
-    return _open(path, load=False).size
+    with _opened(path) as image:
+        return image.size
 
 
 def read_depth(path: Path, depth_scale: float, raw_size: tuple[int, int] | None = None) -> FloatArray:
@@ -36,7 +40,8 @@ def read_depth(path: Path, depth_scale: float, raw_size: tuple[int, int] | None 
     elif path.suffix == ".depth":
         depth = _read_raw(path, raw_size)
     else:
-        values = np.asarray(_open(path))
+        with _opened(path) as image:
+            values = np.asarray(image)
         if values.ndim != 2 or values.dtype == np.uint8 or values.dtype == np.bool_:
             shape = "x".join(map(str, values.shape))
             raise InputError(f"expected a 16-bit depth image, got {values.dtype} {shape}", file=path)
@@ -48,20 +53,21 @@ def read_depth(path: Path, depth_scale: float, raw_size: tuple[int, int] | None 
     return depth
 
 
-def _open(path: Path, *, load: bool = True) -> Image.Image:
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """An image file, header read; whatever goes wrong with it inside is an InputError that names it."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # bounded below, before decoding
             image = Image.open(path)
-        if image.width * image.height > MAX_PIXELS:
-            raise InputError(f"{image.width}x{image.height} pixels are more than {MAX_PIXELS}", file=path)
-        if load:
-            image.load()
+        with image:
+            if image.width * image.height > MAX_PIXELS:
+                raise InputError(f"{image.width}x{image.height} pixels are more than {MAX_PIXELS}", file=path)
+            yield image
     except FileNotFoundError:
         raise InputError("the image is missing", file=path) from None
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"cannot be read as an image ({type(error).__name__})", file=path) from None
-    return image
 
 
 def _read_npy(path: Path) -> FloatArray:

@@ -46,7 +46,15 @@ def read(folder: Path) -> Sequence:
         View(color, depths[place] if place < len(depths) else None, poses.get(place))
         for place, color in enumerate(numbered_files(color_folder, COLOR_SUFFIXES).values())
     )
-    return Sequence(NAME, folder, views, _intrinsics(folder), depth_scale=1000.0)
+    own = _intrinsics(folder)
+    return Sequence(
+        NAME,
+        folder,
+        views,
+        own or _PRIMESENSE,
+        depth_scale=1000.0,
+        published_size=None if own else (640, 480),
+    )
 
 
 def _log(folder: Path) -> Path | None:
@@ -69,7 +77,7 @@ def _read_log(path: Path) -> dict[int, FloatArray | None]:
     return {int(entry[0]): rigid_or_none(entry[3:].reshape(4, 4)) for entry in entries}
 
 
-def _intrinsics(folder: Path) -> Intrinsics:
+def _intrinsics(folder: Path) -> Intrinsics | None:
     for path in sorted(folder.glob("*.json")):
         try:
             values = json.loads(read_text(path))
@@ -78,4 +86,4 @@ def _intrinsics(folder: Path) -> Intrinsics:
                 return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
         except (ValueError, TypeError):
             raise InputError("expected JSON with an intrinsic_matrix of 9 numbers", file=path) from None
-    return _PRIMESENSE
+    return None

@@ -48,11 +48,21 @@ def read(folder: Path) -> Sequence:
         View(color, depths.get(number), poses[number] if number < len(poses) else None)
         for number, color in colors.items()
     )
-    intrinsics, scale = _camera(folder)
-    return Sequence(NAME, folder, views, intrinsics, depth_scale=scale, up="z", depth_noise_m=(0.0005, 0.0))
+    own = _camera(folder)
+    intrinsics, scale = own or (_PUBLISHED, _PUBLISHED_SCALE)
+    return Sequence(
+        NAME,
+        folder,
+        views,
+        intrinsics,
+        depth_scale=scale,
+        up="z",
+        depth_noise_m=(0.0005, 0.0),
+        published_size=None if own else (1200, 680),
+    )
 
 
-def _camera(folder: Path) -> tuple[Intrinsics, float]:
+def _camera(folder: Path) -> tuple[Intrinsics, float] | None:
     for place in (folder, folder.parent):
         path = place / "cam_params.json"
         if path.is_file():
@@ -62,4 +72,4 @@ def _camera(folder: Path) -> tuple[Intrinsics, float]:
                 return (fx, fy, cx, cy), float(values.get("scale", _PUBLISHED_SCALE))
             except (ValueError, KeyError, TypeError):
                 raise InputError("expected {camera: {fx, fy, cx, cy, scale}}", file=path) from None
-    return _PUBLISHED, _PUBLISHED_SCALE
+    return None

@@ -41,7 +41,8 @@ class Sequence:
     with y up (`opengl`, also ARKit). `depth_scale` is depth units a metre. `up` is the world axis that the
     layout promises to point up, None if it promises nothing. `depth_intrinsics` are those of the depth
     image where it has its own (None: aligned with the colour image). `raw_depth_size` (width, height)
-    is given where depth files are bare arrays. `depth_noise_m` (a, b): sigma(z) = a + b z^2.
+    is given where depth files are bare arrays. `depth_noise_m` (a, b): sigma(z) = a + b z^2. `published_size`
+    (width, height) is given where the intrinsics are not the folder's own but published for the data set.
     """
 
     layout: str
@@ -55,6 +56,7 @@ class Sequence:
     depth_intrinsics: Intrinsics | None = None
     raw_depth_size: tuple[int, int] | None = None
     depth_noise_m: tuple[float, float] = (0.0012, 0.002)
+    published_size: tuple[int, int] | None = None
 
 
 def file_number(path: Path) -> int | None:

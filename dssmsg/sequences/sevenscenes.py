@@ -38,17 +38,26 @@ def read(folder: Path) -> Sequence:
                     None if number is None else number / _RATE_HZ,
                 )
             )
-    return Sequence(NAME, folder, tuple(views), _intrinsics(folder), depth_scale=1000.0, rate_hz=_RATE_HZ)
+    own = _intrinsics(folder)
+    return Sequence(
+        NAME,
+        folder,
+        tuple(views),
+        own or _KINECT,
+        depth_scale=1000.0,
+        rate_hz=_RATE_HZ,
+        published_size=None if own else (640, 480),
+    )
 
 
 def _first(folder: Path, stem: str, suffixes: tuple[str, ...]) -> Path | None:
     return next((path for s in suffixes if (path := folder / f"{stem}{s}").is_file()), None)
 
 
-def _intrinsics(folder: Path) -> Intrinsics:
+def _intrinsics(folder: Path) -> Intrinsics | None:
     for place in (folder, folder.parent):
         path = place / "camera-intrinsics.txt"
         if path.is_file():
             k = read_matrix(path, 3)
             return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
-    return _KINECT
+    return None

@@ -50,7 +50,7 @@ def read(folder: Path) -> Sequence:
             )
         )
     camera = next((k for name, k in _CAMERAS.items() if name in str(folder.resolve())), _DEFAULT)
-    return Sequence(NAME, folder, tuple(views), camera, depth_scale=5000.0, up="z")
+    return Sequence(NAME, folder, tuple(views), camera, depth_scale=5000.0, up="z", published_size=(640, 480))
 
 
 def _nearest(times: FloatArray, time: float) -> int | None:

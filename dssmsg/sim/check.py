@@ -1,4 +1,4 @@
-"""Is a scene sound? Pieces that stand in each other, in walls or out of reach, tours that cannot be driven."""
+"""Is a scene sound? Pieces inside each other, in walls or out of reach; tours that cannot be driven."""
 
 from __future__ import annotations
 

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from dssmsg.frame import ByteArray, Float32Array, FloatArray, IntArray, frozen_array
 
+MAX_TURNS = 100_000
+"""Texture coordinates beyond this are damaged data, and would not fit the renderer's 32-bit texel places."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
@@ -46,6 +49,8 @@ class Mesh:
         else:
             fix(self, "uv", frozen_array("uv", self.uv, np.float32, (count, 3, 2), finite=True))
             fix(self, "face_texture", frozen_array("face_texture", self.face_texture, np.int32, (count,)))
+            if count and float(np.abs(self.uv).max()) > MAX_TURNS:
+                raise ValueError(f"uv: a texture wraps around more than {MAX_TURNS:,} times")
         images = tuple(
             frozen_array(f"textures[{i}]", image, np.uint8, (None, None, 3))
             for i, image in enumerate(self.textures)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import ndimage
+from scipy.special import ndtri
 
 from dssmsg.errors import ConfigError
 from dssmsg.frame import ByteArray, Float32Array, FloatArray, MaskArray, quantise_depth
@@ -75,7 +77,7 @@ class SensorNoise(BaseModel):
     def _depth(self, render: Render, rng: np.random.Generator) -> FloatArray:
         depth = render.depth.copy()
         if self.depth_a or self.depth_b:
-            noise = rng.standard_normal(depth.shape, dtype=np.float32)
+            noise = _normal(depth.shape, rng)
             depth += noise * (self.depth_a + self.depth_b * depth * depth)
         lost: MaskArray = (render.depth < self.min_range) | (render.depth > self.max_range)
         if self.edge_jump and self.edge_dropout:
@@ -93,13 +95,26 @@ class SensorNoise(BaseModel):
             return rgb
         image: NDArray[np.float32] = rgb.astype(np.float32)
         if self.blur:
-            image = ndimage.gaussian_filter(image, (self.blur, self.blur, 0), truncate=2.0)
+            for axis in (0, 1):
+                image = ndimage.gaussian_filter1d(image, self.blur, axis=axis, truncate=2.0)
         if self.exposure:
             image *= np.float32(np.exp(self.exposure * rng.standard_normal()))
         if self.rgb_noise:
-            image += rng.standard_normal(rgb.shape, dtype=np.float32) * np.float32(self.rgb_noise)
+            image += _normal(rgb.shape, rng) * np.float32(self.rgb_noise)
         np.clip(image, 0, 255, out=image)
         return np.rint(image, out=image).astype(np.uint8)
+
+
+@functools.cache
+def _quantiles() -> Float32Array:
+    """65,536 equally likely values of the standard normal distribution."""
+    return ndtri((np.arange(65536) + 0.5) / 65536).astype(np.float32)
+
+
+def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
+    """Standard normal values; looking them up by 16 random bits takes a third of the time of drawing them."""
+    count = int(np.prod(shape))
+    return _quantiles().take(np.frombuffer(rng.bytes(2 * count), np.uint16)).reshape(shape)
 
 
 def _edges(depth: FloatArray, jump: float) -> MaskArray:
@@ -126,7 +141,8 @@ def _spots(shape: tuple[int, ...], share: float, rng: np.random.Generator) -> Ma
 
 PRESETS: dict[str, SensorNoise] = {
     "none": SensorNoise(),
-    # RealSense D435: its data sheet promises 2 % at 2 m; on matt indoor surfaces the spread at 2 m is below 1 cm.
+    # RealSense D435: its data sheet promises 2 % at 2 m at worst; on matt surfaces indoors the spread is
+    # near 1 cm there, which a and b give.
     "realistic": SensorNoise(
         depth_a=0.001, depth_b=0.002, edge_jump=0.05, edge_dropout=0.5, grazing_cos=0.1, speckle=0.002,
         rgb_noise=2.0, blur=0.4, exposure=0.02,

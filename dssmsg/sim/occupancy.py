@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import heapq
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -22,7 +23,7 @@ Point = tuple[float, float]
 
 
 def blocks(solid: Solid) -> bool:
-    """Whether a solid is in the robot's way: it reaches above the step-over height and below the robot's top."""
+    """Whether a solid is in the robot's way: above the step-over height, below the robot's top."""
     return solid.top > STEP_OVER and solid.bottom < ROBOT_HEIGHT
 
 
@@ -75,7 +76,7 @@ class Occupancy:
         return float(best[0]), float(best[1])
 
     def path(self, start: Point, end: Point, radius: float = ROBOT_RADIUS) -> tuple[Point, ...] | None:
-        """Corner points from `start` to `end`, both included, all legs clear of `radius`; None if there is no way.
+        """Corner points from `start` to `end`, both included, legs clear of `radius`; None: no way.
 
         A* on the grid, 8-connected, prefers keeping 0.1 m more distance; then corners that a straight
         leg can skip are dropped.
@@ -83,20 +84,21 @@ class Occupancy:
         cells = self._search(self._cell(start), self._cell(end), radius)
         if cells is None:
             return None
-        points = [start, *((float(p[0]), float(p[1])) for p in (self._origin + (np.array(c) + 0.5) * CELL for c in cells[1:-1])), end]
+        centers = self._origin + (np.array(cells) + 0.5) * CELL
+        points: list[Point] = [start, *((float(x), float(y)) for x, y in centers[1:-1]), end]
         wide = radius + 0.05
         smooth, here = [points[0]], 0
         while here < len(points) - 1:
             reach = here + 1
             for ahead in range(len(points) - 1, here + 1, -1):
                 # A shortcut may come close to things only where the found path itself had to.
-                along = self.clearance(points[here : ahead + 1]).min()
-                if self.leg_clearance(points[here], points[ahead]) > min(wide, max(float(along), radius)) - 1e-9:
+                along = float(self.clearance(points[here : ahead + 1]).min())
+                if self.leg_clearance(points[here], points[ahead]) >= min(wide, max(along, radius)):
                     reach = ahead
                     break
             smooth.append(points[reach])
             here = reach
-        if any(self.leg_clearance(a, b) <= radius for a, b in zip(smooth, smooth[1:], strict=False)):
+        if any(self.leg_clearance(a, b) <= radius for a, b in itertools.pairwise(smooth)):
             return None
         return tuple(smooth)
 

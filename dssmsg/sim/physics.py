@@ -66,12 +66,12 @@ class Physics:
         """The robot's body from a URDF file; static bodies only collide with what is not static."""
         with _quiet_stdout():
             robot: int = self.api.loadURDF(
-                urdf, useFixedBase=False, flags=self.api.URDF_USE_INERTIA_FROM_FILE, physicsClientId=self.client
+                urdf, flags=self.api.URDF_USE_INERTIA_FROM_FILE, physicsClientId=self.client
             )
         return robot
 
     def penetration(self, body: int) -> tuple[float, str]:
-        """How deep `body` is in a solid, metres (0 = free), and the owner of the deepest one ('' = a wall)."""
+        """How deep `body` is in a solid, metres (0 = free), and that one's owner ('' = a wall)."""
         api = self.api
         api.performCollisionDetection(physicsClientId=self.client)
         deepest, owner = 0.0, ""

@@ -49,9 +49,10 @@ class _Layer:
     """An Embree scene with its surface tables."""
 
     def __init__(self, instances: Sequence[Instance], textures: TextureStore) -> None:
-        import open3d as o3d
+        import open3d
 
-        self._tensor: Any = o3d.core.Tensor
+        o3d: Any = open3d  # its stubs know less than it does
+        self._tensor = o3d.core.Tensor
         self.boxes = np.array([_world_box(i) for i in instances if len(i.mesh.faces)]).reshape(-1, 8, 3)
         vertices, faces, words, skins = [], [], [], []
         vertex_count = skin_count = 0
@@ -189,9 +190,11 @@ class RaycastRenderer:
             return
         skin = self._surface.skins.take(skin_rows[pixels], axis=0)
         # A sliver of a triangle can give coordinates far outside it, or none at all: any texel of it will do.
-        weights = np.fmax(np.fmin(hits.barycentric[pixels], np.float32(1)), np.float32(0))
-        uv = skin[:, 0:2] + weights[:, 0:1] * skin[:, 2:4] + weights[:, 1:2] * skin[:, 4:6]
-        coarse = skin[:, 6] + np.log2(np.maximum(hits.t[pixels], np.float32(1e-3)) / np.float32(camera.fx))
+        inner = np.fmin(np.fmax(hits.barycentric[pixels], 0.0), 1.0)
+        weights: Float32Array = inner.astype(np.float32, copy=False)
+        uv: Float32Array = skin[:, 0:2] + weights[:, 0:1] * skin[:, 2:4] + weights[:, 1:2] * skin[:, 4:6]
+        metres_per_pixel = np.maximum(hits.t[pixels], np.float32(1e-3)) / np.float32(camera.fx)
+        coarse: Float32Array = (skin[:, 6] + np.log2(metres_per_pixel)).astype(np.float32, copy=False)
         colors[pixels] = self._textures.sample(skin[:, 7].astype(np.int32), uv, coarse).view(np.int32)
 
     def _rays_of(self, camera: Camera) -> tuple[Float32Array, Float32Array]:

@@ -38,10 +38,8 @@ class RobotSpec:
     camera_forward: float = 0.0
 
 
-def camera_pose(
-    x: float, y: float, heading: float, pan: float, tilt: float, spec: RobotSpec
-) -> FloatArray:
-    """world_from_camera (4, 4), OpenCV axes, of a robot at `x`, `y` with its head at `pan`, `tilt` (radians)."""
+def camera_pose(x: float, y: float, heading: float, pan: float, tilt: float, spec: RobotSpec) -> FloatArray:
+    """world_from_camera (4, 4), OpenCV axes, of a robot at `x`, `y` with head at `pan`, `tilt`; m, rad."""
     look = heading + pan
     forward = np.array([math.cos(look) * math.cos(tilt), math.sin(look) * math.cos(tilt), math.sin(tilt)])
     right = np.array([math.sin(look), -math.cos(look), 0.0])

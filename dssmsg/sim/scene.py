@@ -72,9 +72,7 @@ class Room(_Part):
 
     def contains(self, x: float, y: float, margin: float = 0.0) -> bool:
         """Whether a floor point lies inside, at least `margin` metres from the walls."""
-        return (
-            self.x[0] + margin <= x <= self.x[1] - margin and self.y[0] + margin <= y <= self.y[1] - margin
-        )
+        return self.x[0] + margin <= x <= self.x[1] - margin and self.y[0] + margin <= y <= self.y[1] - margin
 
 
 class Leaf(_Part):
@@ -82,7 +80,7 @@ class Leaf(_Part):
 
     into: Name = Field(description="the room it opens into")
     hinge: Literal["low", "high"] = Field(default="low", description="which end of the opening it hangs at")
-    angle_deg: float = Field(default=90.0, ge=0.0, le=180.0, description="0 is closed, 90 stands off the wall")
+    angle_deg: float = Field(default=90.0, ge=0.0, le=180.0, description="0 is closed, 90 off the wall")
 
 
 class Door(_Part):
@@ -106,15 +104,17 @@ class Placement(_Part):
         default=None, description="world x, y of the centre; with `on`: offset in the support's own axes"
     )
     wall: str | None = Field(
-        default=None, pattern=r"^[a-z][a-z0-9_]*\.(north|east|south|west)$", description="`room.side` to stand at"
+        default=None,
+        pattern=r"^[a-z][a-z0-9_]*\.(north|east|south|west)$",
+        description="`room.side` to stand at",
     )
     along: float | None = Field(
         default=None, description="metres from the wall's west or south end to the piece's centre"
     )
-    gap: float = Field(default=0.01, ge=0.0, le=3.0, description="metres between the wall and the piece's back")
+    gap: float = Field(default=0.01, ge=0.0, le=3.0, description="metres between the wall and the back")
     on: PieceId | None = Field(default=None, description="the piece that carries this one")
     z: float | None = Field(
-        default=None, ge=0.0, le=4.0, description="height of the bottom above the floor; else it rests on what is below"
+        default=None, ge=0.0, le=4.0, description="height of the bottom above the floor; else it rests"
     )
     yaw_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="turn, counter-clockwise")
 
@@ -139,7 +139,7 @@ class Piece(Placement):
     size: tuple[float, float, float] | None = Field(
         default=None, description="width, depth, height in metres; the model's own if absent"
     )
-    movable: bool | None = Field(default=None, description="whether people move it; the category's own if absent")
+    movable: bool | None = Field(default=None, description="whether people move it; by category if absent")
 
     @field_validator("size")
     @classmethod
@@ -155,7 +155,7 @@ class TourStop(_Part):
     name: Name = Field(description="unique name")
     at: tuple[float, float] = Field(description="world x, y")
     views: tuple[tuple[float, float], ...] = Field(
-        min_length=1, description="[heading, tilt] pairs in degrees; heading from world x, tilt negative = down"
+        min_length=1, description="[heading, tilt] in degrees; heading from world x, negative tilt = down"
     )
     via: tuple[tuple[float, float], ...] = Field(
         default=(), description="corner points to drive through on the way from the stop before"
@@ -184,7 +184,7 @@ class _Change(_Part):
             raise ValueError("give exactly one of `before_visit` and `during_visit`")
         trigger = (self.at_stop is not None) + (self.at_time is not None)
         if trigger != (self.during_visit is not None):
-            raise ValueError("`during_visit` needs exactly one of `at_stop` and `at_time`; `before_visit` none")
+            raise ValueError("`during_visit` needs one of `at_stop` and `at_time`; `before_visit` none")
         return self
 
     @property
@@ -222,8 +222,8 @@ class Query(_Part):
     """A sentence with the pieces that answer it."""
 
     text: str = Field(min_length=3, description="what a person asks for")
-    targets: tuple[PieceId, ...] = Field(min_length=1, description="ids of the pieces that are right answers")
-    kind: Literal["explicit", "implicit"] = Field(default="explicit", description="whether it names the object")
+    targets: tuple[PieceId, ...] = Field(min_length=1, description="ids of the pieces that answer it")
+    kind: Literal["explicit", "implicit"] = Field(default="explicit", description="does it name the object")
 
 
 class Scene(_Part):
@@ -272,7 +272,7 @@ class Scene(_Part):
         return self
 
     def pieces(self) -> Iterator[Piece]:
-        """Every piece that ever is in the scene, those that appear later last; the order fixes instance ids."""
+        """Every piece that ever is in the scene, those that appear last; the order fixes instance ids."""
         yield from self.furniture
         for change in self.changes:
             if isinstance(change, Appear):
@@ -322,7 +322,7 @@ def load_scene(name: str, *, base_dir: Path | None = None) -> Scene:
     path = path if path.is_absolute() else (base_dir or Path.cwd()) / path
     try:
         if path.stat().st_size > MAX_SCENE_BYTES:
-            raise InputError(f"scene file is larger than {MAX_SCENE_BYTES} bytes", file=path, key="source.scene")
+            raise InputError(f"larger than {MAX_SCENE_BYTES} bytes", file=path, key="source.scene")
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError("no such scene file", file=path, key="source.scene") from None

@@ -176,9 +176,7 @@ def _merged(
             while j + height < left.shape[1] and left[i : i + width, j + height].all():
                 height += 1
             left[i : i + width, j : j + height] = False
-            rectangles.append(
-                ((float(xs[i]), float(ys[j])), (float(xs[i + width]), float(ys[j + height])))
-            )
+            rectangles.append(((float(xs[i]), float(ys[j])), (float(xs[i + width]), float(ys[j + height]))))
     return rectangles
 
 

@@ -56,7 +56,7 @@ class Placer:
     _models: dict[str, FurnitureModel] = field(default_factory=dict, init=False, repr=False)
 
     def initial(self) -> dict[str, Placed]:
-        """Every piece of the scene's `furniture`, by id, before any change; supports before what they carry."""
+        """Every piece of the scene's `furniture`, by id, before any change; supports come first."""
         placed: dict[str, Placed] = {}
         waiting = list(self.scene.furniture)
         while waiting:
@@ -119,16 +119,16 @@ class Placer:
         raise KeyError(name)
 
     def _at_wall(self, where: Placement, depth: float) -> tuple[float, float, float]:
-        assert where.wall is not None and where.along is not None
-        name, _, side = where.wall.partition(".")
+        name, _, side = (where.wall or "").partition(".")
+        along = where.along or 0.0
         room = self.scene.room(name)
         inward = where.gap + depth / 2
         yaw = math.radians(_WALL_YAW_DEG[side])
         if side in ("north", "south"):
             y = room.y[1] - inward if side == "north" else room.y[0] + inward
-            return room.x[0] + where.along, y, yaw
+            return room.x[0] + along, y, yaw
         x = room.x[1] - inward if side == "east" else room.x[0] + inward
-        return x, room.y[0] + where.along, yaw
+        return x, room.y[0] + along, yaw
 
     def _rest(
         self,

@@ -42,7 +42,8 @@ class Script:
             if change.during_visit != visit:
                 continue
             late = change.at_time is not None and elapsed >= change.at_time
-            there = change.at_stop is not None and math.dist(self._stops[change.at_stop], position) <= ARRIVAL_M
+            stop = self._stops[change.at_stop] if change.at_stop is not None else None
+            there = stop is not None and math.dist(stop, position) <= ARRIVAL_M
             if late or there:
                 due.append(change)
         return self._take(due)
@@ -76,15 +77,15 @@ def changed(placed: Mapping[str, Placed], change: Change, placer: Placer) -> dic
     return after
 
 
-def visit_states(scene: Scene, placer: Placer, visit: int, *, enabled: bool = True) -> list[dict[str, Placed]]:
+def visit_states(scene: Scene, placer: Placer, visit: int) -> list[dict[str, Placed]]:
     """All states of the furniture that `visit` may see: as it begins, and after each change during it."""
-    script = Script(scene, enabled=enabled)
+    script = Script(scene)
     state = placer.initial()
     for earlier in range(visit + 1):
         for change in script.before(earlier):
             state = changed(state, change, placer)
     states = [state]
-    for change in scene.changes if enabled else ():
+    for change in scene.changes:
         if change.during_visit == visit:
             states.append(changed(states[-1], change, placer))
     return states

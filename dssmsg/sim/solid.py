@@ -13,7 +13,7 @@ from dssmsg.frame import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """`center` and `half` extents (x, y, z) in metres, `yaw_rad` about z; `owner` is an object's name or ''."""
+    """`center`, `half` extents (x, y, z) in metres, `yaw_rad` about z; `owner` an object's name or ''."""
 
     center: tuple[float, float, float]
     half: tuple[float, float, float]
@@ -47,13 +47,13 @@ def overlap_depth(first: Solid, second: Solid) -> float:
     for yaw in (first.yaw_rad, second.yaw_rad):
         for angle in (yaw, yaw + math.pi / 2):
             axis = np.array([math.cos(angle), math.sin(angle)])
-            (low_a, high_a), (low_b, high_b) = ((float((c @ axis).min()), float((c @ axis).max())) for c in corners)
-            depth = min(depth, min(high_a, high_b) - max(low_a, low_b))
+            a, b = corners[0] @ axis, corners[1] @ axis
+            depth = min(depth, float(min(a.max(), b.max()) - max(a.min(), b.min())))
     return depth
 
 
 def clearance(points: FloatArray, solids: Sequence[Solid]) -> FloatArray:
-    """Distance (N,) in metres from floor points (N, 2) to the nearest footprint; 0 inside, inf without solids."""
+    """Distance (N,) in metres from floor points (N, 2) to the nearest footprint; 0 inside, inf for none."""
     nearest = np.full(len(points), np.inf)
     for solid in solids:
         offset = points - np.asarray(solid.center[:2])

@@ -58,7 +58,7 @@ class TourCost:
 
 
 def estimate(tour: Sequence[Stop], rate_hz: float = 5.0) -> TourCost:
-    """The cost of a tour driven at 0.5 m/s and turned at 1.2 rad/s; a view takes four frames, three of them key.
+    """The cost of a tour driven at 0.5 m/s, turned at 1.2 rad/s; a view takes four frames, three key.
 
     The head pans to a view while the base still turns, so only legs pay for turning: a quarter of a
     second more than the turn, and half a second for speeding up and braking, unless the way goes nearly

@@ -76,7 +76,7 @@ def possible_views(world: World, stops: Sequence[Stop], step_rad: float = math.r
 
 
 def views_of_both(before: Sequence[View], after: Sequence[View], changed: frozenset[int]) -> list[View]:
-    """The same views before and after changes: the `changed` pieces count once for each, as -id afterwards."""
+    """The same views before and after changes: `changed` pieces count once for each, as -id afterwards."""
     return [
         replace(old, shown=old.shown | {-number for number in new.shown if number in changed})
         for old, new in zip(before, after, strict=True)
@@ -92,7 +92,6 @@ def choose_views(
     counting less; among equals the stop with fewer views. Headings at a stop come in turning order.
     """
     left = list(candidates)
-    chosen: dict[str, list[tuple[float, float]]] = {stop.name: [] for stop in stops}
     times: dict[int, int] = {}
     chosen: dict[str, list[tuple[float, float]]] = {stop.name: [] for stop in stops}
     while left and views > 0:

@@ -1,6 +1,6 @@
 """detector/components: things that stand out in depth, without any idea of what they are.
 
-A box around every connected piece of surface between floor and ceiling. What touches a wall is joined with it,
+A box around every connected piece of surface between floor and ceiling. What touches a wall joins it,
 and lost with it where that fills too much of the image; the label is the first one asked for, or "object".
 It shows that a chain works; it is no rival to a learned detector.
 """
@@ -42,7 +42,7 @@ class ComponentsDetector:
         self._config = config
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Sequence[Box]:
-        """A box with its mask for every piece, the largest first; the score is how much of the box it fills."""
+        """A box with its mask for every piece, largest first; the score is how much of the box it fills."""
         config = self._config
         depth = frame.depth
         lift = frame.world_from_camera[2]

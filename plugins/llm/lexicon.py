@@ -58,7 +58,7 @@ class _Table(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    labels: dict[Word, _Entry]
+    labels: dict[Word, _Entry] = Field(min_length=1)
     purposes: tuple[_Purpose, ...] = ()
     rooms: dict[Word, Annotated[tuple[Word, ...], Field(min_length=1)]] = {}
     relations: tuple[Word, ...] = ()

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Config(PluginConfig):
     """Options of the Rerun recording."""
 
-    images: Literal["jpeg", "png"] = Field(
+    images: Literal["jpeg", "lossless"] = Field(
         default="jpeg", description="colour images: jpeg (small) or png (lossless); depth is always lossless"
     )
     quality: int = Field(default=80, ge=1, le=95, description="JPEG quality")
@@ -46,7 +46,7 @@ class Config(PluginConfig):
 
 
 class RerunObserver:
-    """Writes every event to a recording. Raises StorageError, on the call after it happened, if writing failed."""
+    """Writes every event to a recording. If writing failed, the next call raises StorageError."""
 
     def __init__(self, config: Config, context: Context) -> None:
         self._config = config

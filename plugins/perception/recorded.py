@@ -24,12 +24,12 @@ class Config(PluginConfig):
     """Options of the replayed perception."""
 
     recording: Path = Field(
-        description="the .rrd file with the detections (relative to the configuration file), or a folder: its newest"
+        description="the .rrd file with the detections (relative to the YAML), or a folder: its newest"
     )
 
 
 class RecordedPerception:
-    """Gives recorded detections by frame index. Raises InputError if the recording does not read or has none."""
+    """Gives recorded detections by frame index. Raises InputError if the recording has none."""
 
     def __init__(self, config: Config, context: Context) -> None:
         from dssmsg.recording.reader import Recording, newest

@@ -22,7 +22,7 @@ class Config(PluginConfig):
 
     scene: str = Field(
         default="rs_int",
-        description="rs_int, ihlen_1_int, generated:<seed>, or a scene YAML (relative to the configuration file)",
+        description="rs_int, ihlen_1_int, generated:<seed>, or a scene YAML (relative to the configuration)",
     )
     assets: Literal["auto", "real", "embedded"] = Field(
         default="auto", description="furniture: the real models where installed, or the embedded ones"
@@ -39,7 +39,10 @@ class Config(PluginConfig):
         default=0.88, ge=0.2, le=2.0, description="camera above the floor, metres (0.591 on the real LoCoBot)"
     )
     camera_forward: float = Field(
-        default=0.0, ge=-0.15, le=0.15, description="camera ahead of the turning axis, metres (0.047 on the real one)"
+        default=0.0,
+        ge=-0.15,
+        le=0.15,
+        description="camera ahead of the axis, metres (0.047 on the real LoCoBot)",
     )
     rate_hz: float = Field(default=5.0, ge=1.0, le=30.0, description="camera frames a second of sim time")
     changes: Literal["script", "none"] = Field(
@@ -132,7 +135,7 @@ class SimulatedSource:
         self._world.close()
 
     def _put_at_start(self) -> None:
-        """Stand at the first stop, looking at its first view; without a tour in the middle of the first room."""
+        """Stand at the first stop, looking at its first view; without a tour, amid the first room."""
         scene, tours = self._world.scene, self._info.tours
         if tours[0]:
             first = tours[0][0]

@@ -80,7 +80,7 @@ class RecordedSource:
         return self._info
 
     def start_visit(self, visit: int) -> None:
-        """Begin the recording's pass of this number, counted from 0. Raises InputError if it has no such pass."""
+        """Begin the recording's pass of this number, counted from 0. Raises InputError if there is none."""
         if not 0 <= visit < len(self._order):
             raise InputError(
                 f"holds {len(self._order)} visit(s); there is no visit {visit}", file=self._recording.path

@@ -122,6 +122,14 @@ class _Visit:
             raise InputError("the times of the frames do not increase: give rate_hz", file=sequence.folder)
         self.rate_hz = float(1 / np.median(steps)) if len(steps) else rate
         self.color_size = image_size(self.shots[0].color)
+        published = None if config.intrinsics else sequence.published_size
+        if published not in (None, self.color_size):
+            raise InputError(
+                "the known intrinsics are for {}x{} pixels, the images have {}x{}: "
+                "give [fx, fy, cx, cy]".format(*published, *self.color_size),
+                file=sequence.folder,
+                key="source.intrinsics",
+            )
         depth = read_depth(self.shots[0].depth, self.depth_scale, sequence.raw_depth_size)
         self.depth_size = (depth.shape[1], depth.shape[0])
         self.out_size = _out_size(self.color_size, config)

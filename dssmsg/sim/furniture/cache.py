@@ -28,7 +28,8 @@ class MeshCache:
     def load(self, key: str) -> Mesh | None:
         """The mesh under `key`, or None where there is none that can be read."""
         try:
-            with np.load(self.folder / f"{key}.npz", allow_pickle=False) as data:
+            path = self.folder / f"{key}.npz"
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
                 count = int(data["texture_count"])
                 links = data["face_texture"]
                 uv = np.zeros((len(links), 3, 2), np.float32) if count else None

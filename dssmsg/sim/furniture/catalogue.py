@@ -16,7 +16,7 @@ from dssmsg.sim.furniture.wavefront import read_obj
 from dssmsg.sim.mesh import Mesh
 
 PROPERTIES = "PluginFurnitureCatalog.properties"
-CONVERTER_VERSION = 2
+CONVERTER_VERSION = 3
 """Raised when a conversion gives another mesh for the same file: it is part of the cache key."""
 
 _LINE = re.compile(r"(\w+)#(\d+)\s*[=:]\s*(.*)")

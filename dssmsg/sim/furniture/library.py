@@ -22,7 +22,7 @@ PACKAGE = "sweethome3d-furniture"
 
 
 def furniture_folders() -> tuple[Path, ...]:
-    """Where `.sh3f` libraries are looked for, the first wins: $DSSMSG_FURNITURE, the system, the user's cache.
+    """Where `.sh3f` libraries are looked for, the first wins: $DSSMSG_FURNITURE, the system, the user cache.
 
     The cache is searched as `dpkg-deb -x` leaves it too, with the package's own folders inside.
     """

@@ -28,6 +28,10 @@ INVISIBLE_BELOW = 0.05
 """Materials that are more transparent than this are left out: helper geometry, not glass."""
 
 
+MAX_WRAPS = 1000
+"""A face around which a texture wraps more often has damaged coordinates."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Material:
     color: tuple[float, float, float] = (0.7, 0.7, 0.7)
@@ -211,10 +215,13 @@ def _assemble(
     if len(coordinates):
         uv[textured] = coordinates[uv_corners[textured]]
         uv = uv - np.floor(uv.min(axis=1, keepdims=True))  # whole turns cost float32 digits
+        damaged = ~(uv.max(axis=(1, 2)) < MAX_WRAPS)
+        textured &= ~damaged
+        uv[damaged] = 0.0
     shown = np.array([m.opacity >= INVISIBLE_BELOW for m in used])[owner]
     corner = vertices[corners]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    shown &= (area > 0) & np.isfinite(corner).all(axis=(1, 2)) & np.isfinite(uv).all(axis=(1, 2))
+    shown &= (area > 0) & np.isfinite(corner).all(axis=(1, 2))
     if not shown.any():
         raise InputError("the model holds no visible face", file=path)
     kept, faces = np.unique(corners[shown], return_inverse=True)

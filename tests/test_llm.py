@@ -1,0 +1,346 @@
+"""The offline LLM plug-ins, requests and answers; and the rule `errors` that reads what failed."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+from dssmsg_plugins.diagnosis.errors import Config as ErrorsConfig
+from dssmsg_plugins.diagnosis.errors import ErrorsRule
+from dssmsg_plugins.llm import lexicon, recorded, scripted
+from pydantic import ValidationError
+
+from dssmsg.checks import check_answer, check_findings
+from dssmsg.errors import ConfigError, InputError, PluginError
+from dssmsg.interfaces.llm import Message
+from dssmsg.llm_requests import parse_answer, request_hash, schema_faults
+from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
+
+ATTRIBUTE_SCHEMA = {
+    "type": "object",
+    "required": ["dynamic_attribute"],
+    "properties": {"dynamic_attribute": {"type": "number", "minimum": 0, "maximum": 1}},
+}
+SINK = {"kind": "explicit", "nodes": [{"label": "sink"}], "edges": [], "core": 0}
+
+
+def context(base=Path("/")):
+    return SimpleNamespace(base_dir=base)
+
+
+@pytest.fixture(scope="module")
+def words():
+    return lexicon.Lexicon(lexicon.Config(), context())
+
+
+def understand(llm, sentence):
+    answer = check_answer(llm.complete("target_graph", target_graph_request(sentence), TARGET_GRAPH_SCHEMA))
+    target = parse_target_graph(sentence, answer.value)
+    edges = [(target.nodes[e.source].label, e.relation, target.nodes[e.target].label) for e in target.edges]
+    return target, [node.label for node in target.nodes], edges
+
+
+@pytest.mark.parametrize(
+    ("sentence", "labels", "edges"),
+    [
+        ("a book on the table", ["book", "table"], [("book", "on", "table")]),
+        ("The piano next to the guitar!", ["piano", "guitar"], [("piano", "next to", "guitar")]),
+        ("two mugs in front of a dining table", ["mug", "table"], [("mug", "in front of", "table")]),
+        ("shelves with toy boxes", ["shelf", "teddy bear", "box"], None),
+        ("the laptop in the bedroom", ["laptop", "bed"], [("laptop", "near", "bed")]),
+        ("the coffee table", ["coffee table"], []),
+        ("a chair, a chair and a lamp", ["chair", "lamp"], [("chair", "near", "lamp")]),
+    ],
+)
+def test_named_objects_make_an_explicit_target(words, sentence, labels, edges):
+    target, found, relations = understand(words, sentence)
+    assert (target.kind, target.core) == ("explicit", 0)
+    assert found == labels
+    if edges is not None:
+        assert relations == edges
+
+
+@pytest.mark.parametrize(
+    ("sentence", "core", "others"),
+    [
+        ("a place suitable for washing up", "sink", ["mirror"]),
+        ("somewhere to lie down and sleep", "bed", ["nightstand"]),
+        ("a quiet spot for reading", "armchair", ["lamp", "bookcase"]),
+        ("take me to the kitchen", "fridge", ["oven", "sink"]),
+    ],
+)
+def test_purposes_and_rooms_make_an_implicit_target(words, sentence, core, others):
+    target, found, _edges = understand(words, sentence)
+    assert target.kind == "implicit"
+    assert found == [core, *others]
+
+
+def test_attributes_stay_with_their_object(words):
+    target, _labels, _edges = understand(words, "a small red cup on the wooden table")
+    assert [node.attributes for node in target.nodes] == [("small", "red"), ("wooden",)]
+
+
+@pytest.mark.parametrize("sentence", ["", "the flux capacitor", "ich suche eine Katze", "x" * 5000])
+def test_what_is_not_in_the_table_is_not_understood(words, sentence):
+    with pytest.raises(PluginError, match="no known object, purpose or room"):
+        understand(words, sentence)
+
+
+def test_dynamic_attributes_order_things_by_how_readily_they_move(words):
+    def moves(text):
+        answer = words.complete("dynamic_attribute", [Message("user", text)], ATTRIBUTE_SCHEMA)
+        return answer.value["dynamic_attribute"]
+
+    assert moves("label: cup, 0.1 m, near table") >= 0.66 > moves("armchair") >= 0.33 > moves("bathtub")
+    assert moves("couch") == moves("sofa")
+    assert moves("flux capacitor") == 0.5
+
+
+def test_unknown_roles_are_refused(words):
+    with pytest.raises(PluginError, match="target_graph and dynamic_attribute, not 'poem'"):
+        words.complete("poem", [Message("user", "sofa")], {})
+
+
+def test_an_answer_that_does_not_fit_the_schema_is_an_error(words):
+    with pytest.raises(PluginError, match="does not fit its schema"):
+        words.complete("target_graph", [Message("user", "sofa")], ATTRIBUTE_SCHEMA)
+
+
+def test_the_packaged_table_knows_the_furniture_and_contradicts_itself_nowhere():
+    data = resources.files("dssmsg") / "data"
+    table = yaml.safe_load((data / "lexicon.yaml").read_text())
+    terms = [
+        *table["labels"],
+        *(word for entry in table["labels"].values() for word in entry.get("also", ())),
+    ]
+    assert len(terms) == len(set(terms))
+    for group in (*(p["objects"] for p in table["purposes"]), *table["rooms"].values()):
+        assert set(group) <= set(table["labels"])
+    furniture = yaml.safe_load((data / "furniture" / "categories.yaml").read_text())
+    named = {entry.get("label", name) for name, entry in furniture.items()}
+    assert named <= set(terms)
+
+
+def test_a_table_of_ones_own(tmp_path):
+    (tmp_path / "mine.yaml").write_text("labels: {flux capacitor: {moves: 0.9}}\n")
+    mine = lexicon.Lexicon(lexicon.Config(file="mine.yaml"), context(tmp_path))
+    assert understand(mine, "the flux capacitor")[1] == ["flux capacitor"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("labels: [sofa]", "labels"),
+        ("labels: {sofa: {moves: 3}}", "labels.sofa.moves"),
+        ("labels: {sofa: {move: 0.3}}", "labels.sofa.move"),
+        ("- sofa", "file"),
+        ("labels: {}", "labels"),
+        ("labels: {sofa: {", "no readable YAML"),
+    ],
+)
+def test_broken_tables_are_named(tmp_path, text, words):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words) as caught:
+        lexicon.Lexicon(lexicon.Config(file="mine.yaml"), context(tmp_path))
+    assert (caught.value.file, caught.value.key) == (str(path), "llm.file")
+
+
+def test_a_missing_table_is_named(tmp_path):
+    with pytest.raises(ConfigError, match="no such file"):
+        lexicon.Lexicon(lexicon.Config(file="none.yaml"), context(tmp_path))
+
+
+# Scripted answers.
+
+
+def scripted_llm(base=Path("/"), **options):
+    return scripted.Scripted(scripted.Config(**options), context(base))
+
+
+def test_scripted_answers_come_in_order_and_the_last_is_repeated():
+    bed = {**SINK, "nodes": [{"label": "bed"}]}
+    llm = scripted_llm(answers={"target_graph": [SINK, json.dumps(bed)]})
+    assert [understand(llm, "anything")[1] for _ in range(3)] == [["sink"], ["bed"], ["bed"]]
+
+
+def test_scripted_answers_can_run_out():
+    llm = scripted_llm(answers={"target_graph": [SINK]}, repeat=False)
+    understand(llm, "one")
+    with pytest.raises(PluginError, match="no answer left for target_graph, 1 were given"):
+        understand(llm, "two")
+    with pytest.raises(PluginError, match="no answer left for dynamic_attribute, 0"):
+        llm.complete("dynamic_attribute", [], ATTRIBUTE_SCHEMA)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ("Sure! Here is your graph:", "no JSON"),
+        ('{"kind": "explicit", "nodes": [', "no JSON"),
+        ("[1, 2]", "expected object, got list"),
+        ({**SINK, "kind": "maybe"}, "expected one of explicit, implicit"),
+        ({**SINK, "core": -1}, "expected at least 0"),
+        ({**SINK, "nodes": []}, "at least 1"),
+        ({**SINK, "nodes": [{"label": "x"}] * 1000}, "at most 20, got 1000"),
+        ({**SINK, "extra": 1}, "'extra' is not known"),
+        ('{"core": NaN}', "NaN is no JSON"),
+    ],
+)
+def test_answers_of_a_confused_model_fail(answer, words):
+    with pytest.raises(PluginError, match=words):
+        understand(scripted_llm(answers={"target_graph": [answer]}), "x")
+
+
+def test_scripted_answers_from_a_file(tmp_path):
+    (tmp_path / "answers.yaml").write_text(yaml.safe_dump({"target_graph": [SINK]}))
+    assert understand(scripted_llm(tmp_path, file="answers.yaml"), "x")[1] == ["sink"]
+    (tmp_path / "answers.yaml").write_text("target_graph: sink")
+    with pytest.raises(ConfigError, match="target_graph"):
+        scripted_llm(tmp_path, file="answers.yaml")
+
+
+@pytest.mark.parametrize("options", [{}, {"answers": {"target_graph": [SINK]}, "file": "x.yaml"}])
+def test_a_script_has_one_origin(options):
+    with pytest.raises(ValidationError, match="either answers or file"):
+        scripted.Config(**options)
+
+
+# Recorded answers.
+
+
+def recorded_llm(monkeypatch, calls):
+    class FakeRecording:
+        path = Path("a.rrd")
+
+        @classmethod
+        def open(cls, path):
+            return cls()
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def llm_calls(self):
+            return calls
+
+    monkeypatch.setattr("dssmsg.recording.reader.Recording", FakeRecording)
+    return recorded.Recorded(recorded.Config(recording="a.rrd"), context())
+
+
+def call(sentence, answer, ok=True):
+    key = request_hash("target_graph", target_graph_request(sentence), TARGET_GRAPH_SCHEMA)
+    return {"request_hash": key, "answer": answer, "ok": ok, "tokens": 7}
+
+
+def test_recorded_answers_are_found_by_their_request(monkeypatch):
+    bed = json.dumps({**SINK, "nodes": [{"label": "bed"}]})
+    calls = [call("a", "broken", ok=False), call("a", json.dumps(SINK)), call("b", bed)]
+    llm = recorded_llm(monkeypatch, calls)
+    assert understand(llm, "b")[1] == ["bed"]
+    assert understand(llm, "a")[1] == ["sink"]
+    with pytest.raises(PluginError, match="holds no answer to this target_graph request; it has 2 answers"):
+        understand(llm, "c")
+
+
+def test_recorded_needs_a_recording(tmp_path):
+    with pytest.raises(InputError):
+        recorded.Recorded(recorded.Config(recording="none.rrd"), context(tmp_path))
+
+
+# Requests and schemas.
+
+
+def test_a_request_has_one_hash():
+    messages = (Message("system", "do"), Message("user", "a ß b"))
+    key = request_hash("r", messages, {"type": "object", "required": ["a"]})
+    assert key == request_hash("r", list(messages), {"required": ["a"], "type": "object"})
+    assert len(key) == 64
+    others = [
+        request_hash("q", messages, {"type": "object", "required": ["a"]}),
+        request_hash("r", messages[1:], {"type": "object", "required": ["a"]}),
+        request_hash("r", messages, {"type": "object"}),
+        request_hash("r", (Message("user", "do"), messages[1]), {"type": "object", "required": ["a"]}),
+    ]
+    assert len({key, *others}) == 5
+
+
+@pytest.mark.parametrize(
+    ("value", "schema", "fault"),
+    [
+        (True, {"type": "integer"}, "expected integer, got bool"),
+        (1, {"type": "boolean"}, "expected boolean"),
+        (1.5, {"type": "integer"}, "expected integer"),
+        (3, {"type": "number", "maximum": 2}, "at most 2"),
+        ("", {"type": "string", "minLength": 1}, "at least 1"),
+        ({}, {"required": ["a"]}, "a is missing"),
+        ({"a": {"b": 1}}, {"properties": {"a": {"properties": {"b": {"type": "string"}}}}}, "answer.a.b"),
+        ([1, "x"], {"type": "array", "items": {"type": "integer"}}, r"answer\[1\]"),
+    ],
+)
+def test_schema_faults_say_where(value, schema, fault):
+    import re
+
+    (found,) = schema_faults(value, schema)
+    assert re.search(fault, found)
+
+
+def test_values_that_fit_have_no_faults():
+    schema = {"type": "object", "properties": {"a": {"type": "number", "minimum": 0}, "b": {"type": "null"}}}
+    assert schema_faults({"a": 1, "b": None, "c": "free"}, schema) == []
+    assert parse_answer(' {"a": 0} ', schema) == {"a": 0}
+
+
+def test_unknown_schema_keywords_are_not_passed_over():
+    with pytest.raises(ValueError, match="oneOf"):
+        schema_faults(1, {"oneOf": []})
+
+
+def test_deep_nesting_is_an_answer_that_fails():
+    with pytest.raises(ValueError, match="no JSON"):
+        parse_answer("[" * 100_000, {})
+
+
+# The rule `errors`.
+
+
+def failure(frame, plugin, *, fatal=False, skipped="detect"):
+    return {
+        "frame": frame,
+        "plugin": plugin,
+        "message": f"boom at {frame}",
+        "skipped": skipped,
+        "fatal": fatal,
+    }
+
+
+def test_failures_become_findings_the_worst_first():
+    errors = [failure(3, "perception/a"), failure(4, "llm/b"), failure(5, "perception/a")]
+    errors.append(failure(9, "source/c", fatal=True, skipped=""))
+    recording = SimpleNamespace(errors=lambda: errors, episodes=list)
+    found = check_findings(ErrorsRule(ErrorsConfig(shown=1)).diagnose(recording, None))
+    assert [(f.layer, f.frame) for f in found] == [("source", 9), ("perception", 3), ("llm", 4)]
+    assert found[0].confidence == 1.0
+    assert found[1].confidence == pytest.approx(0.25)
+    assert found[1].summary == "perception/a failed 2 times and skipped work 2 times: boom at 3"
+    assert found[1].events == ("frame 3: boom at 3",)
+
+
+def test_findings_of_one_episode():
+    errors = [failure(3, "llm/a"), failure(15, "llm/b"), failure(25, "llm/c")]
+    episodes = [{"episode": 0, "frame": 10}, {"episode": 1, "frame": 20}]
+    recording = SimpleNamespace(errors=lambda: errors, episodes=lambda: episodes)
+    rule = ErrorsRule(ErrorsConfig())
+    assert [f.frame for f in rule.diagnose(recording, 1)] == [15]
+    assert [f.frame for f in rule.diagnose(recording, 0)] == [3]
+
+
+def test_no_failures_no_findings():
+    recording = SimpleNamespace(errors=list, episodes=list)
+    assert ErrorsRule(ErrorsConfig()).diagnose(recording, None) == []
