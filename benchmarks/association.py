@@ -1,3 +1,4 @@
+# ruff: noqa: E402  (threads must be set before numpy is imported)
 """Time of the `dssm` association a frame: how it grows with the map, and against exhaustive scoring.
 
     python benchmarks/association.py [--rounds 15] [--json]
@@ -8,8 +9,8 @@ thread, measurements interleaved, medians. Two comparisons, as CI wants them:
 
 - `map_growth`: time a frame (association and graph update) with 2,000 objects in the map over that with 100;
   at most 1.5.
-- `brute_speedup`: at 50 objects, scoring every pair by exhaustive nearest neighbours over our frame time; at least
-  10. Two exhaustive forms are timed, the faster counts: a KD-tree query of all points for each pair with
+- `brute_speedup`: at 50 objects, scoring every pair by exhaustive nearest neighbours over our frame time;
+  at least 10. Two exhaustive forms are timed, the faster counts: a KD-tree query of all points for each pair with
   the trees given, and a blocked matrix product of all distances.
 
 Exit code 1 if a bound does not hold.
@@ -30,6 +31,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before numpy is imported: one thread
 
 import numpy as np
+from dssmsg_plugins.association.dssm import DssmAssociation, DssmConfig
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -38,7 +40,6 @@ from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.interfaces import Context, SourceInfo
 from dssmsg.lift import voxelise
-from dssmsg_plugins.association.dssm import DssmAssociation, DssmConfig
 
 MAX_GROWTH = 1.5
 MIN_SPEEDUP = 10.0
@@ -84,7 +85,7 @@ def observation(
 
 
 def places(count: int) -> NDArray[np.float64]:
-    """(count, 3) centres: the 12 in view stand side by side with their boxes touching, the rest of the home around."""
+    """(count, 3) centres on a dense grid: the 12 in view side by side, the rest of the home around them."""
     side = int(np.ceil(np.sqrt(count)))
     grid = np.array([(x, y) for x in range(side + 1) for y in range(side + 1)], dtype=np.float64)
     order = np.argsort(np.abs(grid).max(axis=1), kind="stable")[

@@ -40,11 +40,11 @@ class Lifter:
     Lengths in metres. `max_range` drops pixels farther along the optical axis; `min_points` is asked of the
     pixels with depth and again of the final voxels' cluster; `voxel` is the side of world-aligned cells
     floor(p / voxel), each represented by the mean of its points; `eps` and `min_neighbours` (the point
-    itself counted) define density clusters. Of these the largest is the thing, and so is, beyond the paper, any
-    other of at least `part_share` of its size within `part_gap` of what is kept already: behind a chair a
-    table shows in two parts, and keeping the larger alone makes it two tables once the parts have been the
-    larger in turn (1.0 keeps the largest alone). A mask pixel beside a pixel outside the mask counts as rim, and
-    is left out where the two depths differ by more than `step` plus `step_ratio` of the depth.
+    itself counted) define density clusters. Of these the largest is the thing, and so is, beyond the paper,
+    any other of at least `part_share` of its size within `part_gap` of what is kept already: behind a chair
+    a table shows in two parts, and keeping the larger alone makes it two tables once the parts have been the
+    larger in turn (1.0 keeps the largest alone). A mask pixel beside a pixel outside the mask counts as rim,
+    and is left out where the two depths differ by more than `step` plus `step_ratio` of the depth.
     """
 
     def __init__(

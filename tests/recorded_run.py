@@ -7,9 +7,13 @@ ahead. The graph is a real `SceneGraph`: what `events` tells is what its `live` 
 from __future__ import annotations
 
 import itertools
+import logging
 import math
+import os
 from collections.abc import Iterator
+from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +21,48 @@ from dssmsg import events as ev
 from dssmsg.frame import Camera, Detection, Frame, Truth, TruthObject, quantise_depth
 from dssmsg.graph import changes as ch
 from dssmsg.graph.changes import Cause, Change, Score
+from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.scene_graph import SceneGraph
+from dssmsg.interfaces import Context
 from dssmsg.interfaces.source import Command, SourceInfo
+
+os.environ.setdefault("RERUN_STRICT", "1")  # the SDK would otherwise turn its errors into warnings
 
 LABELS = ("chair", "table", "sofa", "lamp", "plant", "cabinet", "television", "bed", "mug", "book")
 CAUSE = Cause("association/dssm", "merge")
 RADIUS = 3.0
+
+
+def context(run_dir: Path, run_id: str = "synthetic", base_dir: Path | None = None) -> Context:
+    """The surroundings of a plug-in under test."""
+
+    def build(kind: str, slot: Any) -> Any:
+        raise AssertionError(f"no plug-in of kind {kind} is built here, not {slot}")
+
+    return Context(
+        seed=0,
+        rng=np.random.default_rng(0),
+        graph=SceneGraph(),
+        ids=IdAllocator(),
+        log=logging.getLogger("dssmsg.test"),
+        base_dir=base_dir or run_dir,
+        run_dir=run_dir,
+        run_id=run_id,
+        build=build,
+    )
+
+
+def record(run: SyntheticRun, path: Path, **options: Any) -> Path:
+    """Write a run's events to a finished recording, in this thread."""
+    from dssmsg.recording.writer import RecordingWriter
+
+    writer = RecordingWriter(path, run.run_id, **options)
+    for number, event in enumerate(run.events()):
+        writer.write(event)
+        if number % 40 == 39:
+            writer.flush()
+    writer.close()
+    return path
 
 
 class SyntheticRun:

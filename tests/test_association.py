@@ -35,7 +35,7 @@ ROOM = [
 FRAME = look([], pose_at(0, 0, 0))
 
 
-def cloud(low, high, step=0.02):
+def cloud(low, high, step=0.025):
     """A slab of points filling a box's top and front faces."""
     low, high = np.array(low), np.array(high)
     axes = [np.arange(a + step / 2, b, step) for a, b in zip(low, high, strict=True)]
@@ -89,7 +89,7 @@ def rules(changes):
     return [(change.kind, change.cause.rule) for change in changes]
 
 
-# -- scores ---------------------------------------------------------------------------------------------------
+# -- scores ----------------------------------------------------------------------------------------
 
 
 def test_tolerance_is_two_sigma_but_never_below_a_voxel():
@@ -157,7 +157,7 @@ def test_confidence_grows_with_votes_and_views():
     assert confidence(2, 1, 2, 2) < confidence(3, 1, 2, 2) < confidence(3, 2, 2, 2)
 
 
-# -- the plug-in ------------------------------------------------------------------------------------------------
+# -- the plug-in -----------------------------------------------------------------------------------
 
 
 def test_the_same_thing_merges_and_only_new_voxels_ride_along():
@@ -338,7 +338,7 @@ def test_options_are_checked(bad):
         DssmConfig(**bad)
 
 
-# -- from pixels to objects ---------------------------------------------------------------------------------------
+# -- from pixels to objects ------------------------------------------------------------------------
 
 
 def survey(world, things, *, noise=(0.0, 0.0), **faults):

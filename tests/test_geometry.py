@@ -145,7 +145,7 @@ def test_cell_keys_are_equal_exactly_within_a_cell(cloud):
 
 
 def brute_dbscan(cloud, eps, least):
-    """The definition, word by word: all distances, core points, flood fill, border to the nearest core point."""
+    """The definition, word by word: all distances, core points, flood fill, border to the nearest."""
     distance = np.linalg.norm(cloud[:, None] - cloud[None], axis=-1)
     near = distance <= eps
     core = near.sum(axis=1) >= least
@@ -189,4 +189,4 @@ def test_groups_are_clustered_apart():
 
 def test_no_points_no_clusters():
     assert len(density_clusters(np.zeros((0, 3)), 0.1, 10)) == 0
-    assert density_clusters(np.zeros((3, 3)) + [[0], [5], [9]], 0.1, 2).tolist() == [-1, -1, -1]
+    assert density_clusters(np.array([[0.0, 0, 0], [5, 0, 0], [9, 0, 0]]), 0.1, 2).tolist() == [-1, -1, -1]

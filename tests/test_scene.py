@@ -186,13 +186,10 @@ def test_a_door_between_rooms_that_do_not_meet_is_refused() -> None:
     with pytest.raises(InputError, match="must face each other") as caught:
         build_layout(parse_scene(SMALL_SCENE.replace("x: [3.1, 6]", "x: [4.1, 6]"), file="s"))
     assert caught.value.key == "doors.door"
+    door = "doors:\n  - {name: door, between: [left, right], along: 1.5, width: 0.8}\n"
+    overlapping = parse_scene(SMALL_SCENE.replace(door, "").replace("x: [3.1, 6]", "x: [2.5, 6]"), file="s")
     with pytest.raises(InputError, match="rooms overlap"):
-        without_door = SMALL_SCENE.replace(
-            "  - {name: door, between: [left, right], along: 1.5, width: 0.8}\n", ""
-        )
-        build_layout(
-            parse_scene(without_door.replace("doors:\n", "").replace("x: [3.1, 6]", "x: [2.5, 6]"), file="s")
-        )
+        build_layout(overlapping)
 
 
 @pytest.mark.parametrize("side", ["north", "east", "south", "west"])

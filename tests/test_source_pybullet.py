@@ -122,13 +122,11 @@ def test_options_reach_the_world(tmp_path: Path) -> None:
 @pytest.mark.parametrize("scene", ["rs_int", "ihlen_1_int"])
 def test_both_tours_are_driven_without_a_collision_and_within_the_budget(scene: str) -> None:
     made = build(scene=scene, width=32, height=32, noise="none")
-    acceleration = dict(
-        linear_acceleration=made.info.accelerations[0], angular_acceleration=made.info.accelerations[1]
-    )
+    linear, angular = made.info.accelerations
     keys = frames = 0
     for visit, tour in enumerate(made.info.tours):
         made.start_visit(visit)
-        surveyor = Surveyor(tour, Driver(**acceleration))
+        surveyor = Surveyor(tour, Driver(linear_acceleration=linear, angular_acceleration=angular))
         selector = KeyFrameSelector()
         command = Command()
         in_visit = 0

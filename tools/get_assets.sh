@@ -5,7 +5,7 @@
 # furniture and the next renderer, and says so.
 set -u
 python=$1
-packages_open3d="libgl1 libgomp1 libx11-6 libegl1"
+packages_open3d="libgl1 libgomp1 libx11-6 libegl1 libusb-1.0-0"
 cache="${XDG_CACHE_HOME:-$HOME/.cache}/dssmsg/furniture"
 system=/usr/share/sweethome3d/furniture
 

@@ -114,7 +114,10 @@ def chosen(recording: Path | None) -> Path:
 
 
 def moment(recording: Recording, at: str | None) -> tuple[int | None, int | None]:
-    """`--at` as (frame, update), at most one of them set: neither is the end. Raises ConfigError if malformed."""
+    """`--at` as (frame, update), at most one of them set; neither: the end.
+
+    Raises ConfigError if it is malformed, or the run has no such time.
+    """
     from dssmsg.errors import ConfigError
 
     if at is None:

@@ -28,8 +28,8 @@ def split_objects(
 ) -> list[Join]:
     """Joins among the `touched` objects and what is beside them, to be applied in the order given.
 
-    Two objects join where they have the same label and more than `min_share` of the smaller cloud's points lie
-    within `tolerance` metres of the larger one, the largest share first. Never two that one frame
+    Two objects join where they have the same label and more than `min_share` of the smaller cloud's points
+    lie within `tolerance` metres of the larger one, the largest share first. Never two that one frame
     saw as different things, be it in the past (a frame gives an object at most one detection, so their
     `frames` then share an index) or, for the objects in `apart`, in the frame at hand.
     """

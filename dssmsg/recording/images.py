@@ -21,7 +21,7 @@ Encoding = Literal["jpeg", "lossless"]
 MEDIA_TYPES: dict[Encoding, str] = {"jpeg": "image/jpeg", "lossless": "image/png"}
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_FAST = 1  # zlib level; level 6 is 8 times slower for a sixth less, on noisy depth
+_FAST = 1  # zlib level; level 6 is several times slower for little less
 
 
 def encode_rgb(rgb: ByteArray, encoding: Encoding, quality: int = 80) -> bytes:

@@ -58,7 +58,7 @@ class RecordingWriter:
         self._stream = rr.RecordingStream(
             schema.APPLICATION_ID,
             recording_id=recording_id,
-            # Rows are batched here, a second at a time, and flushed by hand: Rerun's own tick stays out of it.
+            # Rows are batched here, a second at a time, and flushed by hand.
             batcher_config=rr.ChunkBatcherConfig(flush_tick=60.0),
         )
         self._stream.set_sinks(rr.FileSink(path), *extra_sinks)
@@ -342,7 +342,7 @@ def _create_exclusively(path: Path) -> None:
         ) from error
     except OSError as error:
         raise StorageError(
-            f"the recording cannot be created ({error.strerror}); set recording.directory to a folder that can"
-            " be written",
+            f"the recording cannot be created ({error.strerror}); set recording.directory to a folder"
+            " that can be written",
             file=path,
         ) from error

@@ -47,6 +47,8 @@ _PROGRAMMES = {
     6: ("living room", "dining room", "bedroom", "bedroom", "kitchen", "bathroom"),
     7: ("living room", "dining room", "bedroom", "bedroom", "study", "kitchen", "bathroom"),
 }
+_PLANS = 12
+"""Plans drawn for each attempt, of which the one with the squarest rooms is furnished."""
 _VIEWS_A_STOP = 5
 _FREE_SLOTS = 4
 """Places left empty at first: two for things that appear, two for things that are relocated."""
@@ -117,11 +119,14 @@ def _attempt(seed: int, rng: np.random.Generator) -> Scene | None:
 
 def _rooms(rng: np.random.Generator) -> tuple[Room, ...]:
     programme = list(_PROGRAMMES[int(rng.integers(4, 8))])
-    rng.shuffle(programme)
-    wanted = [(kind, _AREAS[kind] * float(rng.uniform(0.85, 1.15))) for kind in programme]
-    aspect = float(rng.uniform(1.0, 1.6))
-    depth = math.sqrt(sum(area for _, area in wanted) / aspect)
-    rects = _cut((0.0, depth * aspect, 0.0, depth), wanted, rng)
+    plans = []
+    for _ in range(_PLANS):
+        rng.shuffle(programme)
+        wanted = [(kind, _AREAS[kind] * float(rng.uniform(0.85, 1.15))) for kind in programme]
+        aspect = float(rng.uniform(1.0, 1.6))
+        depth = math.sqrt(sum(area for _, area in wanted) / aspect)
+        plans.append(_cut((0.0, depth * aspect, 0.0, depth), wanted, rng))
+    rects = min(plans, key=_worst_aspect)
     count: dict[str, int] = {}
     rooms = []
     for kind, (x0, x1, y0, y1) in rects:
@@ -130,6 +135,12 @@ def _rooms(rng: np.random.Generator) -> tuple[Room, ...]:
         x, y = (round(x0, 2), round(x1, 2)), (round(y0, 2), round(y1, 2))
         rooms.append(Room(name=name, type=kind, x=x, y=y))
     return tuple(rooms)
+
+
+def _worst_aspect(rects: Sequence[tuple[str, Rect]]) -> float:
+    """How far the most stretched room is from a square."""
+    sides = [(x1 - x0, y1 - y0) for _, (x0, x1, y0, y1) in rects]
+    return max(max(pair) / min(pair) for pair in sides)
 
 
 def _cut(rect: Rect, wanted: list[tuple[str, float]], rng: np.random.Generator) -> list[tuple[str, Rect]]:
@@ -154,7 +165,7 @@ def _doors(rng: np.random.Generator, rooms: Sequence[Room]) -> tuple[Door, ...] 
 
     A bathroom gets one door: nobody walks through it.
     """
-    if any(min(r.x[1] - r.x[0], r.y[1] - r.y[0]) < (2.0 if r.type == "bathroom" else 2.4) for r in rooms):
+    if any(min(r.x[1] - r.x[0], r.y[1] - r.y[0]) < (1.9 if r.type == "bathroom" else 2.3) for r in rooms):
         return None
     edges = [(a, b, shared) for i, a in enumerate(rooms) for b in rooms[:i] if (shared := _shared(a, b))]
     order = rng.permutation(len(edges))

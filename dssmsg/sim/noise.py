@@ -31,6 +31,13 @@ class SensorNoise(BaseModel):
         0.0, ge=0, le=1, description="depth noise at range 0, standard deviation in metres"
     )
     depth_b: float = Field(0.0, ge=0, le=1, description="its growth with the range squared, per metre")
+    depth_grain: int = Field(
+        1,
+        ge=1,
+        le=16,
+        description="side, in pixels, of the patches that share one error: a stereo camera matches windows, not "
+        "single pixels",
+    )
     min_range: float = Field(0.1, ge=0, le=100, description="no depth below this, metres")
     max_range: float = Field(10.0, gt=0, le=65, description="no depth beyond this, metres")
     edge_jump: float = Field(
@@ -77,7 +84,7 @@ class SensorNoise(BaseModel):
     def _depth(self, render: Render, rng: np.random.Generator) -> FloatArray:
         depth = render.depth.copy()
         if self.depth_a or self.depth_b:
-            noise = _normal(depth.shape, rng)
+            noise = _patches(_normal(_patch_counts(depth.shape, self.depth_grain), rng), self.depth_grain, depth.shape)
             depth += noise * (self.depth_a + self.depth_b * depth * depth)
         lost: MaskArray = (render.depth < self.min_range) | (render.depth > self.max_range)
         if self.edge_jump and self.edge_dropout:
@@ -135,8 +142,19 @@ def _edges(depth: FloatArray, jump: float) -> MaskArray:
 
 def _spots(shape: tuple[int, ...], share: float, rng: np.random.Generator) -> MaskArray:
     """A mask (H, W) of 2 x 2 pixel spots that cover about `share` of the image."""
-    half = rng.random((-(-shape[0] // 2), -(-shape[1] // 2)), dtype=np.float32) < share
-    return half.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]]
+    return _patches(rng.random(_patch_counts(shape, 2), dtype=np.float32) < share, 2, shape)
+
+
+def _patch_counts(shape: tuple[int, ...], side: int) -> tuple[int, int]:
+    """How many patches of `side` pixels cover an image (H, W), by rows and columns."""
+    return -(-shape[0] // side), -(-shape[1] // side)
+
+
+def _patches(values: NDArray[Any], side: int, shape: tuple[int, ...]) -> NDArray[Any]:
+    """An image of `shape` (H, W) in which each value fills a patch of `side` x `side` pixels."""
+    if side == 1:
+        return values
+    return values.repeat(side, axis=0).repeat(side, axis=1)[: shape[0], : shape[1]]
 
 
 PRESETS: dict[str, SensorNoise] = {
@@ -144,8 +162,8 @@ PRESETS: dict[str, SensorNoise] = {
     # RealSense D435: its data sheet promises 2 % at 2 m at worst; on matt surfaces indoors the spread is
     # near 1 cm there, which a and b give.
     "realistic": SensorNoise(
-        depth_a=0.001, depth_b=0.002, edge_jump=0.05, edge_dropout=0.5, grazing_cos=0.1, speckle=0.002,
-        rgb_noise=2.0, blur=0.4, exposure=0.02,
+        depth_a=0.001, depth_b=0.002, depth_grain=2, edge_jump=0.05, edge_dropout=0.5, grazing_cos=0.1,
+        speckle=0.002, rgb_noise=2.0, blur=0.4, exposure=0.02,
     ),
 }  # fmt: skip
 

@@ -10,7 +10,7 @@ It keeps next to nothing of its own: which objects were touched since the last m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,7 +80,7 @@ class DssmConfig(PluginConfig):
         0.05,
         ge=0,
         le=1,
-        description="At the end of a visit this share joins, within `join_contact_tolerance`; 1 turns it off.",
+        description="At the end of a visit this share in contact joins; 1 turns it off.",
     )
     join_contact_tolerance: float = Field(
         0.075,
@@ -102,6 +102,8 @@ class _Pair:
     overlap: float | None
     """Mutual overlap; None where it was not asked for."""
     allowed: bool
+    exact: bool
+    """False: s_geo is only an upper bound, too low for a merge."""
 
     @property
     def s(self) -> float:
@@ -143,7 +145,7 @@ class DssmAssociation:
     ) -> Sequence[Change]:
         """Joins if a pass is due, one `ObjectAdded` or `ObjectMerged` an observation, then beliefs."""
         scored = [self._score(frame, observation) for observation in observations]
-        chosen = self._assign(scored)
+        chosen = self._assign(observations, scored)
         matched = {pair.object_id for pair in chosen if pair is not None}
         self._key_frames += 1
         due = self._key_frames % self._config.merge_every == 0
@@ -172,8 +174,8 @@ class DssmAssociation:
     def finish(self) -> Sequence[Change]:
         """A merge pass over the visit; what is not confirmed stays in the graph as tentative.
 
-        By now two pieces of one label that touch, of which no frame of the visit saw both, are more likely two
-        sides of one thing (a wardrobe from the left and from the right of the bed) than neighbours: so here
+        By now two pieces of one label that touch, of which no frame of the visit saw both, are more likely
+        two sides of one thing (a wardrobe from the left and from the right of the bed) than neighbours: so here
         contact joins, not containment alone. Containment is the stronger case of contact.
         """
         joins = self._joins(set(), at_end=True)
@@ -198,17 +200,20 @@ class DssmAssociation:
             needed = self._config.delta_sim - s_sem
             if not alike:
                 needed = max(needed, self._config.merge_min_overlap)
-            s_geo = self._share(observation, node, tolerance, needed)
+            s_geo, exact = self._share(observation, node, tolerance, needed)
             overlap = None
             if s_geo >= needed and not alike:
                 observation_tree = observation_tree or KDTree(observation.points_world)
                 overlap = min(s_geo, self._covered(frame, node, observation_tree, tolerance))
             enough = alike or (overlap is not None and overlap >= self._config.merge_min_overlap)
-            pairs.append(_Pair(object_id, s_geo, s_sem, overlap, s_geo >= needed and enough))
+            allowed = 0.0 < s_geo >= needed and enough
+            pairs.append(_Pair(object_id, s_geo, s_sem, overlap, allowed, exact))
         return pairs
 
-    def _share(self, observation: Observation, node: ObjectNode, tolerance: float, needed: float) -> float:
-        """s_geo, or an upper bound of it that stays below `needed` and so cannot become a merge.
+    def _share(
+        self, observation: Observation, node: ObjectNode, tolerance: float, needed: float
+    ) -> tuple[float, bool]:
+        """s_geo and True; or an upper bound of it, below `needed` and so too low for a merge, and False.
 
         Points outside the object's box are off it without asking; often that settles it.
         """
@@ -216,11 +221,11 @@ class DssmAssociation:
         near = points[points_in_box(points, *grow_box(node.box_min, node.box_max, tolerance))]
         bound = len(near) / len(points)
         if bound == 0.0 or bound < needed:
-            return bound
+            return bound, bound == 0.0
         share = sampled_share(
             near, self._graph.tree(node.id), tolerance, self._config.sample, (needed / bound,)
         )
-        return bound * share
+        return bound * share, True
 
     def _covered(self, frame: Frame, node: ObjectNode, observation_tree: KDTree, tolerance: float) -> float:
         """Share of the object's points in sight of this frame that lie on the observation.
@@ -236,16 +241,21 @@ class DssmAssociation:
         sight = sight_of_points(points, frame.depth, frame.camera, frame.world_from_camera, margin)
         return neighbour_share(points[sight == Sight.ON_SURFACE], observation_tree, tolerance)
 
-    def _assign(self, scored: list[list[_Pair]]) -> list[_Pair | None]:
-        """The pair to merge by for each observation, or None: one-to-one, no object gets two of one frame."""
+    def _assign(self, observations: Sequence[Observation], scored: list[list[_Pair]]) -> list[_Pair | None]:
+        """The pair to merge by for each observation, or None: one-to-one, no object gets two of one frame.
+
+        A fragment of a thing lies on it as fully as the whole does, so that both reach the same s; a tie goes
+        to the larger observation (its size adds less than 1e-6 to s).
+        """
         columns = sorted({pair.object_id for pairs in scored for pair in pairs if pair.allowed}, key=id_order)
         place = {object_id: column for column, object_id in enumerate(columns)}
         scores = np.zeros((len(scored), len(columns)))
         allowed = np.zeros(scores.shape, dtype=np.bool_)
-        for row, pairs in enumerate(scored):
+        for row, (observation, pairs) in enumerate(zip(observations, scored, strict=True)):
+            size = len(observation.points_world)
             for pair in pairs:
                 if pair.allowed:
-                    scores[row, place[pair.object_id]] = pair.s
+                    scores[row, place[pair.object_id]] = pair.s + 1e-6 * size / (1 + size)
                     allowed[row, place[pair.object_id]] = True
         return [
             None if column < 0 else next(pair for pair in pairs if pair.object_id == columns[column])
@@ -260,7 +270,7 @@ class DssmAssociation:
         The rule says why it did not: `new` (s < delta_sim), `new_unlike` (s would do, but neither meaning nor
         overlap), `new_taken` (another observation of the frame fits that object better).
         """
-        best = max(pairs, key=lambda pair: (pair.allowed, pair.s), default=None)
+        best = self._nearest(observation, pairs)
         scores: tuple[Score, ...] = (Score("s", 0.0, self._config.delta_sim),)
         rule = "new"
         if best is not None:
@@ -281,6 +291,20 @@ class DssmAssociation:
             text_feature=observation.text_feature,
             image_feature=observation.image_feature,
         )
+
+    def _nearest(self, observation: Observation, pairs: list[_Pair]) -> _Pair | None:
+        """The pair that came nearest to a merge, its s_geo made exact where a bound was enough so far."""
+        tolerance = neighbour_tolerance(observation.range_m, self._noise)
+        best: _Pair | None = None
+        for pair in sorted(pairs, key=lambda pair: (not pair.allowed, -pair.s)):
+            if best is not None and (best.allowed or best.s >= pair.s):
+                break
+            if not pair.exact:
+                s_geo, _ = self._share(observation, self._graph.objects[pair.object_id], tolerance, 0.0)
+                pair = replace(pair, s_geo=s_geo, exact=True)
+            if best is None or pair.s > best.s:
+                best = pair
+        return best
 
     def _merged(
         self,
@@ -322,7 +346,7 @@ class DssmAssociation:
         return tuple(terms)
 
     def _joins(self, matched: set[str], *, at_end: bool = False) -> list[ObjectsJoined]:
-        """The merge pass over what was touched since the last one, at the end of a visit over all of the visit.
+        """The merge pass over what was touched since the last one, or at the end over all of the visit.
 
         `matched` holds this frame's objects: it saw them as different things.
         """

@@ -89,8 +89,8 @@ def _create(path: Path) -> TextIOWrapper:
         ) from error
     except OSError as error:
         raise StorageError(
-            f"the change log cannot be created ({error.strerror}); set recording.directory to a folder that can"
-            " be written",
+            f"the change log cannot be created ({error.strerror}); set recording.directory to a folder"
+            " that can be written",
             file=path,
         ) from error
     return os.fdopen(handle, "w", encoding="utf-8", newline="\n")

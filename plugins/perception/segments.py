@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
-from dssmsg.frame import Detection, FloatArray, Frame, MaskArray
+from dssmsg.frame import Detection, Float32Array, FloatArray, Frame, MaskArray
 from dssmsg.geometry import pixel_rays
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
@@ -38,13 +38,21 @@ class SegmentsConfig(PluginConfig):
         description="Depth of the slab around floor, ceiling or wall; grows with the sensor's noise.",
     )
     wall_height: float = Field(
-        1.9, gt=0, description="Upright planes that reach this height, or the top of the image, are walls."
+        1.9,
+        gt=0,
+        description="Upright planes this high are walls, and so is the hindmost at the image's top.",
     )
     wall_pixels: float = Field(0.02, gt=0, le=1, description="Smallest wall, as a share of the image.")
     step: float = Field(
         0.04, gt=0, description="Depth step between neighbours that parts two pieces, at range 0."
     )
     step_ratio: float = Field(0.02, ge=0, description="Its growth with range.")
+    min_score: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="Least compactness (share of its box) of a piece; drops strips along walls.",
+    )
     crease_deg: float = Field(
         60.0, ge=0, le=180, description="Concave creases sharper than this part two pieces; 180 turns it off."
     )
@@ -98,12 +106,14 @@ class Segments:
             )
             box = np.array([columns.start, rows.start, columns.stop, rows.stop], dtype=np.float64)
             area = (box[2] - box[0]) * (box[3] - box[1])
-            detections.append(Detection(mask, box, config.label, float(min(1.0, sizes[number] / area))))
+            score = float(min(1.0, sizes[number] / area))
+            if score >= config.min_score:
+                detections.append(Detection(mask, box, config.label, score))
         return detections
 
 
 def surface_normals(points: FloatArray, valid: MaskArray, position: FloatArray, reach: int = 2) -> FloatArray:
-    """(H, W, 3) unit normals towards the camera at `position`, of world points (H, W, 3) smoothed over 5 x 5 pixels.
+    """(H, W, 3) unit normals towards `position` of world points (H, W, 3), smoothed over 5 x 5 pixels.
 
     Zero where a pixel has no reading, or too little around it.
     """
@@ -160,8 +170,11 @@ def room_planes(
             at_top = np.count_nonzero(on_plane[:3].any(axis=0)) > 0.25 * np.count_nonzero(
                 on_plane.any(axis=0)
             )
-            if reaches_up or at_top:
-                room |= valid & slab & (normals[..., :2] @ direction > 0.5)
+            beyond = np.count_nonzero(facing & (offset < plane - 0.2))
+            if reaches_up or (at_top and beyond < wall_pixels * valid.size):
+                # Normals are smoothed and wrong along creases: there, lying on the plane is enough.
+                near = ndimage.binary_dilation(on_plane, iterations=5)
+                room |= valid & slab & (near | (normals[..., :2] @ direction > 0.5))
                 upright &= ~slab
     return room
 
@@ -236,15 +249,13 @@ def depth_cuts(depth: NDArray[np.float32], step: float, step_ratio: float) -> Ma
 def concave_creases(points: FloatArray, normals: FloatArray, angle: float, reach: int = 3) -> MaskArray:
     """(H, W) bool: pixels where the surface folds towards the camera by more than `angle` radians.
 
-    Two points with normals n, m are on a concave fold where (m - n) . (q - p) < 0: their normals lean together.
+    Points p, q with normals n, m are on a concave fold where (m - n) . (q - p) < 0: n and m lean together.
     """
     crease = np.zeros(points.shape[:2], dtype=np.bool_)
     limit = math.cos(angle)
-    for axis in (0, 1):
-        if axis == 0:
-            a, b, middle = np.s_[: -2 * reach], np.s_[2 * reach :], np.s_[reach:-reach]
-        else:
-            a, b, middle = np.s_[:, : -2 * reach], np.s_[:, 2 * reach :], np.s_[:, reach:-reach]
+    across = (np.s_[:, : -2 * reach], np.s_[:, 2 * reach :], np.s_[:, reach:-reach])
+    down = (np.s_[: -2 * reach, :], np.s_[2 * reach :, :], np.s_[reach:-reach, :])
+    for a, b, middle in (across, down):
         turn = np.einsum("ijk,ijk->ij", normals[a], normals[b])
         lean = np.einsum("ijk,ijk->ij", normals[b] - normals[a], points[b] - points[a])
         both = np.abs(normals[a]).sum(axis=-1) * np.abs(normals[b]).sum(axis=-1) > 0
@@ -253,8 +264,8 @@ def concave_creases(points: FloatArray, normals: FloatArray, angle: float, reach
 
 
 def _fill_cuts(
-    labels: NDArray[np.int32], cut: MaskArray, depth: NDArray[np.float32], step: float
-) -> NDArray[np.int32]:
+    labels: NDArray[np.integer[Any]], cut: MaskArray, depth: NDArray[np.float32], step: float
+) -> NDArray[np.integer[Any]]:
     """Give cut pixels to the nearest piece whose depth there is like theirs."""
     if not cut.any() or not labels.any():
         return labels

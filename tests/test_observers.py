@@ -1,0 +1,233 @@
+"""The observers `rerun`, `jsonl` and `progress`: exclusive files, bounded queues, said failures."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from dssmsg_plugins.observer import jsonl, progress, rerun
+from recorded_run import SyntheticRun, context
+
+from dssmsg.errors import StorageError
+from dssmsg.graph.compare import same
+from dssmsg.recording.reader import Recording
+from dssmsg.recording.writer import RecordingWriter
+
+LIMITED = """
+import resource, signal, sys, time
+from pathlib import Path
+from recorded_run import SyntheticRun, context
+from dssmsg.errors import StorageError
+from dssmsg_plugins.observer import jsonl, rerun
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # writing past the limit fails, as on a full disk
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+module = {"rerun": rerun, "jsonl": jsonl}[sys.argv[2]]
+factory = {"rerun": rerun.RerunObserver, "jsonl": jsonl.JsonlObserver}[sys.argv[2]]
+run = SyntheticRun(4000)
+observer = factory(module.Config(flush_secs=0.1), context(Path(sys.argv[1])))
+try:
+    try:
+        for event in run.events():
+            observer.on_event(event)
+    finally:
+        observer.close()
+except StorageError as error:
+    print(error)
+    sys.exit(7)
+"""
+
+
+def tell_all(observer: rerun.RerunObserver | jsonl.JsonlObserver, run: SyntheticRun) -> None:
+    for event in run.events():
+        observer.on_event(event)
+    observer.close()
+    observer.close()
+
+
+def test_rerun_records_a_run(tmp_path: Path) -> None:
+    run = SyntheticRun(30)
+    observer = rerun.RerunObserver(rerun.Config(), context(tmp_path / "new" / "folder"))
+    assert observer.outputs() == {}
+    assert not (tmp_path / "new").exists()  # made on use
+    tell_all(observer, run)
+    path = Path(observer.outputs()["recording"])
+    assert path == tmp_path / "new" / "folder" / "synthetic.rrd"
+    assert [entry.name for entry in path.parent.iterdir()] == ["synthetic.rrd"]
+    with Recording.open(path) as recording:
+        assert recording.complete
+        assert recording.stored_summary is not None
+        assert len(recording.frame_indices) == 30
+        assert same(recording.graph_at(), run.live)
+
+
+def test_rerun_overwrites_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "synthetic.rrd"
+    path.write_bytes(b"precious")
+    observer = rerun.RerunObserver(rerun.Config(), context(tmp_path))
+    with pytest.raises(StorageError, match="exists already") as caught:
+        observer.on_event(SyntheticRun(1).started())
+    assert caught.value.file == str(path)
+    observer.close()
+    assert path.read_bytes() == b"precious"
+
+
+def test_jsonl_overwrites_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "synthetic.changes.jsonl"
+    path.write_bytes(b"precious")
+    observer = jsonl.JsonlObserver(jsonl.Config(), context(tmp_path))
+    with pytest.raises(StorageError, match="exists already"):
+        observer.on_event(SyntheticRun(1).started())
+    observer.close()
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(("module", "name"), [(rerun, "RerunObserver"), (jsonl, "JsonlObserver")])
+def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, module: object, name: str) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    observer = getattr(module, name)(module.Config(), context(blocked / "runs"))  # type: ignore[attr-defined]
+    with pytest.raises(StorageError, match=r"recording\.directory"):
+        observer.on_event(SyntheticRun(1).started())
+
+
+@pytest.mark.parametrize("kind", ["rerun", "jsonl"])
+def test_a_full_disk_ends_the_run(tmp_path: Path, kind: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(tmp_path), kind],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=Path(__file__).parent,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])},
+    )
+    assert done.returncode == 7, done.stderr
+    assert "could not be written" in done.stdout
+    assert "Traceback" not in done.stderr
+    if kind == "rerun":
+        with Recording.open(tmp_path / "synthetic.rrd") as recording:
+            assert recording.facts["run_id"] == "synthetic"
+
+
+def test_rerun_blocks_and_never_drops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = []
+    waiting = threading.Event()
+    plain = RecordingWriter.write
+
+    def slow(self: RecordingWriter, event: object) -> None:
+        waiting.wait(5.0)
+        written.append(type(event).__name__)
+        plain(self, event)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(RecordingWriter, "write", slow)
+    run = SyntheticRun(10)
+    told = list(run.events())
+    observer = rerun.RerunObserver(rerun.Config(queue_size=4, optimize=False), context(tmp_path))
+    passed = []
+
+    def tell() -> None:
+        for event in told:
+            observer.on_event(event)
+            passed.append(event)
+
+    teller = threading.Thread(target=tell)
+    teller.start()
+    time.sleep(0.3)
+    assert 4 <= len(passed) <= 6  # the queue's four, and what the writer holds
+    waiting.set()
+    teller.join(10.0)
+    observer.close()
+    assert written == [type(event).__name__ for event in told]
+
+
+def test_rerun_flushes_while_nothing_is_told(tmp_path: Path) -> None:
+    run = SyntheticRun(5)
+    observer = rerun.RerunObserver(rerun.Config(flush_secs=0.2, optimize=False), context(tmp_path))
+    observer.on_event(run.started())
+    for event in run.frame_events(0):
+        observer.on_event(event)
+    deadline = time.monotonic() + 5.0
+    frames = 0
+    while frames == 0 and time.monotonic() < deadline:
+        time.sleep(0.1)
+        with Recording.open(tmp_path / "synthetic.rrd") as recording:
+            frames = len(recording.frame_indices)
+    assert frames == 1
+    observer.close()
+
+
+def test_a_writer_that_fails_is_heard_of_and_nobody_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: RecordingWriter, event: object) -> None:
+        raise ValueError("instance ids: expected 0 to 65535")
+
+    run = SyntheticRun(50)
+    observer = rerun.RerunObserver(rerun.Config(queue_size=2), context(tmp_path))
+    monkeypatch.setattr(RecordingWriter, "write", broken)
+    with pytest.raises(ValueError, match="65535"):
+        for event in run.events():
+            observer.on_event(event)
+    with pytest.raises(ValueError, match="65535"):
+        observer.close()
+
+
+def test_jsonl_is_the_same_twice_and_holds_the_changes(tmp_path: Path) -> None:
+    texts = []
+    for name in ("one", "two"):
+        run = SyntheticRun(20, seed=3)
+        observer = jsonl.JsonlObserver(jsonl.Config(), context(tmp_path, name))
+        tell_all(observer, run)
+        texts.append(Path(observer.outputs()["changes"]).read_bytes())
+    assert texts[0] == texts[1]
+    rows = [json.loads(line) for line in texts[0].splitlines()]
+    assert [row["update"] for row in rows] == [change.update for change in run.told]
+    assert {row["kind"] for row in rows} >= {"object_added", "object_merged", "edge_added"}
+
+
+def test_progress_tells_plain_lines_off_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    observer = progress.ProgressObserver(progress.Config(), context(tmp_path))
+    run = SyntheticRun(20)
+    for event in run.events():
+        observer.on_event(event)
+    observer.close()
+    lines = stream.getvalue().splitlines()
+    assert any("phase survey begins" in line for line in lines)
+    assert any("NaN in a box" in line for line in lines)
+    assert f"frame 20 (4 s), 7 key frames, {len(run.live.objects)} objects" in lines[-1]
+    assert len(lines) < 12
+    assert "\x1b" not in stream.getvalue()
+
+
+def test_progress_survives_a_closed_stderr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    observer = progress.ProgressObserver(progress.Config(style="lines"), context(tmp_path))
+    stream.close()
+    for event in SyntheticRun(6).events():
+        observer.on_event(event)
+    observer.close()
+
+
+def test_progress_shows_a_live_line_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    observer = progress.ProgressObserver(progress.Config(every_secs=0.2), context(tmp_path))
+    for event in SyntheticRun(6).events():
+        observer.on_event(event)
+    observer.close()
+    observer.close()
+    assert "frame 6" in stream.getvalue()

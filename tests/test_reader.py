@@ -1,0 +1,253 @@
+"""What was told comes back: frames, detections, truth, changes, and the graph at any time."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_run import SyntheticRun, record
+
+from dssmsg import events as ev
+from dssmsg.errors import InputError
+from dssmsg.graph import codec
+from dssmsg.graph.compare import same
+from dssmsg.graph.scene_graph import SceneGraph
+from dssmsg.recording import rows, schema
+from dssmsg.recording.reader import Recording, newest
+from dssmsg.recording.writer import RecordingWriter
+from dssmsg.review.summary import summarize, summary_text
+
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def run() -> SyntheticRun:
+    return SyntheticRun(FRAMES)
+
+
+@pytest.fixture(scope="module")
+def told(run: SyntheticRun) -> list[ev.Event]:
+    return list(run.events())
+
+
+@pytest.fixture(scope="module")
+def path(run: SyntheticRun, told: list[ev.Event], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("reader") / "run.rrd"
+    writer = RecordingWriter(path, run.run_id, images="lossless")
+    for number, event in enumerate(told):
+        writer.write(event)
+        if number % 37 == 0:
+            writer.flush()
+    writer.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(path: Path) -> Recording:
+    return Recording.open(path)
+
+
+def test_run_facts(recording: Recording, run: SyntheticRun) -> None:
+    assert recording.complete
+    assert recording.seed == 0
+    assert recording.facts["run_id"] == run.run_id
+    assert recording.config["source"] == {"use": "synthetic"}
+    assert recording.facts["source"]["credits"] == ["furniture: nobody"]
+    assert recording.stored_summary == {"seed": 0, "frames": FRAMES, "errors": 0}
+
+
+def test_frames_are_exact(recording: Recording, told: list[ev.Event]) -> None:
+    captured = [event for event in told if isinstance(event, ev.FrameCaptured)]
+    back = list(recording.frames())
+    assert len(back) == len(captured) == FRAMES
+    for event, frame in zip(captured, back, strict=True):
+        want = event.frame
+        assert np.array_equal(frame.rgb, want.rgb)
+        assert np.array_equal(frame.depth, want.depth)
+        assert np.array_equal(frame.world_from_camera, want.world_from_camera)
+        assert np.array_equal(frame.world_from_base, want.world_from_base)
+        assert frame.sim_time == want.sim_time
+        assert (frame.index, frame.visit, frame.at_stop) == (want.index, want.visit, want.at_stop)
+        assert frame.camera == want.camera
+        assert frame.truth is None
+        assert recording.command(frame.index) == event.command
+        assert recording.collisions(frame.index) == event.collisions
+        assert recording.viewpoint(frame.index) == event.viewpoint_id
+    assert list(recording.key_frames) == [event.frame.index for event in captured if event.key_frame]
+
+
+def test_detections_are_exact(recording: Recording, told: list[ev.Event]) -> None:
+    detected = [event for event in told if isinstance(event, ev.Detected)]
+    assert sum(len(event.detections) for event in detected) > 20
+    for event in detected:
+        back = recording.detections(event.frame)
+        assert back is not None
+        assert len(back) == len(event.detections)
+        for got, want in zip(back, event.detections, strict=True):
+            assert np.array_equal(got.mask, want.mask)
+            assert np.array_equal(got.box_xyxy, want.box_xyxy)
+            assert (got.label, got.score, got.label_scores) == (want.label, want.score, want.label_scores)
+            for name in ("text_feature", "image_feature"):
+                ours, theirs = getattr(got, name), getattr(want, name)
+                assert (ours is None) == (theirs is None)
+                assert ours is None or np.array_equal(ours, theirs)
+    assert recording.detections(1) is None  # not a key frame
+
+
+def test_truth_is_exact_and_changes_over_time(recording: Recording, told: list[ev.Event]) -> None:
+    for event in told:
+        if isinstance(event, ev.TruthSeen):
+            truth = recording.truth(event.frame)
+            assert truth is not None
+            assert np.array_equal(truth.instance_ids, event.truth.instance_ids)
+            assert rows.truth_objects_json(truth.objects) == rows.truth_objects_json(event.truth.objects)
+    early, late = recording.truth(0), recording.truth(FRAMES - 1)
+    assert early is not None
+    assert late is not None
+    assert (early.objects[0].state, late.objects[0].state) == ("static", "appeared")
+    assert recording.frame(3, with_truth=True).truth is not None
+
+
+def test_changes_are_told_again_word_for_word(recording: Recording, run: SyntheticRun) -> None:
+    want = [codec.canonical_json(codec.encode(change)[0]) for change in run.told]
+    assert [codec.canonical_json(codec.encode(change)[0]) for change in recording.changes()] == want
+    assert [codec.canonical_json(row) for row in recording.change_rows()] == want
+    assert sum(recording.change_counts().values()) == len(want)
+
+
+def test_folding_gives_the_live_graph_at_every_key_frame(recording: Recording, run: SyntheticRun) -> None:
+    assert same(recording.graph_at(), run.live)
+    live = SceneGraph()
+    pending = list(run.told)
+    for frame in recording.key_frames:
+        while pending and pending[0].frame <= frame:
+            live.apply(pending.pop(0))
+        assert same(recording.graph_at(frame), live)
+        assert same(recording.graph_at(frame + 1), live)
+    middle = len(run.told) // 2
+    assert same(recording.graph_at(update=middle), SceneGraph.fold(run.told[:middle]))
+    assert not same(recording.graph_at(update=middle), run.live)
+
+
+def test_everything_else_comes_back(recording: Recording) -> None:
+    assert [phase["phase"] for phase in recording.phases()] == ["survey", "revisit"]
+    assert recording.errors() == [
+        {
+            "frame": 4,
+            "sim_time": 0.8,
+            "plugin": "perception/synthetic",
+            "message": "NaN in a box",
+            "skipped": "1 detection",
+            "fatal": False,
+        }
+    ]
+    assert [step["state"] for step in recording.navigation()] == ["drive", "look", "turn"]
+    assert recording.timings()[3] == {"source": 0.02, "perception": 0.01}
+    assert len(recording.logs()) == FRAMES
+    assert recording.frame_at_time(1.0) == 5
+    assert recording.frame_of_update(1) == 0
+
+
+def test_seldom_events_come_back(tmp_path: Path) -> None:
+    run = SyntheticRun(1)
+    writer = RecordingWriter(tmp_path / "r.rrd", "r")
+    writer.write(run.started())
+    evidence = ev.Evidence(7, "object-1", "missed", {"behind_m": 0.4})
+    writer.write(
+        ev.WindowEvaluated("viewpoint-1.1", 9, 1.8, (7, 8), (1, 2), (evidence,), {"object-1": "disappeared"}, 3)
+    )
+    best = ev.Candidate("viewpoint-1.1", 1, {"s_graph": 1.9, "s_node": 1.0}, {"sink": "object-1"}, "a sink")
+    writer.write(ev.Matched("wash up", 9, 1.8, {"nodes": ["sink"]}, (best,)))
+    writer.write(ev.Matched("fly", 9, 1.8, {"nodes": []}, ()))
+    writer.write(ev.LlmCalled("target_graph", "lexicon", 9, 1.8, "wash up", "{}", "abc", False, "slow", None, 0.1))
+    writer.write(ev.EpisodeEnded(0, "wash up", "no_path", "blocked", 9, 1.8, {"spl": 0.0}))
+    writer.close()
+    recording = Recording.open(tmp_path / "r.rrd")
+    (window,) = recording.windows()
+    assert window["evidence"] == [
+        {"frame": 7, "object": "object-1", "verdict": "missed", "values": {"behind_m": 0.4}}
+    ]
+    assert window["verdicts"] == {"object-1": "disappeared"}
+    first, second = recording.matches()
+    assert first["candidates"][0]["scores"] == {"s_graph": 1.9, "s_node": 1.0}
+    assert second["candidates"] == []
+    (call,) = recording.llm_calls()
+    assert (call["role"], call["ok"], call["error"], call["tokens"]) == ("target_graph", False, "slow", None)
+    (episode,) = recording.episodes()
+    assert (episode["outcome"], episode["reason"]) == ("no_path", "blocked")
+
+
+def test_summary_counts_what_the_run_was(recording: Recording, run: SyntheticRun) -> None:
+    summary = summarize(recording)
+    believed = [node for node in run.live.objects.values() if node.status == "believed"]
+    assert summary["objects"] == len(believed) > 0
+    assert summary["waypoints"] == len(run.live.waypoints)
+    assert summary["frames"] == FRAMES
+    assert summary["errors"] == 0  # the run's own words come first
+    assert summary["complete"] is True
+    assert summary["schema_version"] == schema.SCHEMA_VERSION
+    assert json.loads(json.dumps(summary)) == summary
+    text = summary_text(summary, recording.errors())
+    assert "NaN in a box" in text
+    assert "object_added" in text
+
+
+def test_a_missing_frame_is_said_with_the_range(recording: Recording) -> None:
+    with pytest.raises(InputError, match="no frame 999; its frames are 0 to 39"):
+        recording.frame(999)
+    with pytest.raises(InputError, match="not both"):
+        recording.graph_at(1, update=2)
+    with pytest.raises(InputError, match="no frame at or before"):
+        recording.frame_at_time(-1.0)
+
+
+def test_reading_needs_no_simulator(path: Path) -> None:
+    code = f"""
+import sys
+for name in ("pybullet", "open3d", "onnxruntime"):
+    sys.modules[name] = None
+from dssmsg.recording.reader import Recording
+from dssmsg.review.summary import summarize
+with Recording.open({str(path)!r}) as recording:
+    assert len(list(recording.frames())) == {FRAMES}
+    assert summarize(recording)["objects"] > 0
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_newest_is_by_time_and_says_when_there_is_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="dssmsg run"):
+        newest(tmp_path)
+    with pytest.raises(InputError, match="dssmsg run"):
+        newest(tmp_path / "missing")
+    import os
+
+    for age, name in enumerate(("b.rrd", "a.rrd", "c.rrd")):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (1000 - age, 1000 - age))
+    (tmp_path / ".hidden.rrd").touch()
+    (tmp_path / "later.txt").touch()
+    assert newest(tmp_path).name == "b.rrd"
+
+
+def test_another_schema_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(schema, "SCHEMA_VERSION", 99)
+    path = record(SyntheticRun(2), tmp_path / "new.rrd")
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="schema version 99"):
+        Recording.open(path)
+
+
+def test_a_foreign_recording_is_refused(tmp_path: Path) -> None:
+    import rerun as rr
+
+    stream = rr.RecordingStream("another_program")
+    stream.save(tmp_path / "foreign.rrd")
+    stream.log("text", rr.TextLog("hello"))
+    stream.disconnect()
+    with pytest.raises(InputError, match="another program"):
+        Recording.open(tmp_path / "foreign.rrd")
