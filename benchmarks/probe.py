@@ -1,7 +1,7 @@
 """An observer plug-in for measurements: resident memory and wall time every so many frames, as JSON lines.
 
-    plugins: [benchmarks/probe.py]
-    recording: {observers: {probe: {path: memory.jsonl}}}
+plugins: [benchmarks/probe.py]
+recording: {observers: {probe: {path: memory.jsonl}}}
 """
 
 from __future__ import annotations

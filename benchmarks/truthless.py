@@ -1,4 +1,4 @@
-"""A source plug-in that wraps the simulator and takes the truth out of every frame, for the determinism test."""
+"""A source plug-in that wraps the simulator and takes the truth out of every frame."""
 
 from __future__ import annotations
 

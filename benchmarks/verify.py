@@ -13,7 +13,6 @@ import argparse
 import json
 import os
 import random
-import re
 import shutil
 import signal
 import statistics
@@ -93,7 +92,9 @@ def folding(cwd: Path) -> list[Row]:
     probe = LiveGraphs(random.Random(0))
     result = run_mission(config, Host.load(), observers=[("live", probe)])
     recording = Recording.open(Path(result.summary["recording"]))
-    wrong = [d for frame, live in probe.kept.items() if (d := first_difference(live, recording.graph_at(frame)))]
+    wrong = [
+        d for frame, live in probe.kept.items() if (d := first_difference(live, recording.graph_at(frame)))
+    ]
     final = first_difference(result.graph, SceneGraph.fold(recording.changes()))
     frames = len(probe.kept)
     return [
@@ -168,9 +169,16 @@ def static(cwd: Path) -> list[Row]:
         summary = run(cwd, "perception.use=oracle", f"source.scene={scene}")
         result = score_recording(recording_of(summary, cwd))
         score = result.score
-        counts = f"({score.true_positives} right, {score.false_positives} wrong, {score.false_negatives} missed)"
+        counts = (
+            f"({score.true_positives} right, {score.false_positives} wrong, {score.false_negatives} missed)"
+        )
         rows += [
-            Row(f"{scene}: static precision", ">= 0.95", f"{score.precision:.3f} {counts}", score.precision >= 0.95),
+            Row(
+                f"{scene}: static precision",
+                ">= 0.95",
+                f"{score.precision:.3f} {counts}",
+                score.precision >= 0.95,
+            ),
             Row(f"{scene}: static recall", ">= 0.95", f"{score.recall:.3f}", score.recall >= 0.95),
             Row(
                 f"{scene}: median centre error",
@@ -279,7 +287,11 @@ def association(cwd: Path) -> list[Row]:
         check=True,
     )
     figures = json.loads(done.stdout)
-    growth, speedup, milliseconds = figures["ratio_2000_to_100"], figures["speedup_at_50"], figures["ms_at_50"]
+    growth, speedup, milliseconds = (
+        figures["ratio_2000_to_100"],
+        figures["speedup_at_50"],
+        figures["ms_at_50"],
+    )
     return [
         Row("association, 2,000 against 100 objects", "<= 1.5 x", f"{growth:.2f} x", growth <= 1.5),
         Row("association, against exhaustive at 50", ">= 10 x", f"{speedup:.0f} x", speedup >= 10),
@@ -297,8 +309,15 @@ def cost(cwd: Path) -> list[Row]:
     size = recording_of(with_recording[0], cwd).stat().st_size / 1e6
     peak = max(r["peak_mb"] for r in with_recording)
     return [
-        Row("default run with oracle, wall time, median of 5", "<= 90 s", f"{walls[0]:.1f} s", walls[0] <= 90),
-        Row("... against without recording", "<= 1.25 x", f"{walls[0] / walls[1]:.2f} x", walls[0] / walls[1] <= 1.25),
+        Row(
+            "default run with oracle, wall time, median of 5", "<= 90 s", f"{walls[0]:.1f} s", walls[0] <= 90
+        ),
+        Row(
+            "... against without recording",
+            "<= 1.25 x",
+            f"{walls[0] / walls[1]:.2f} x",
+            walls[0] / walls[1] <= 1.25,
+        ),
         Row("... size of the recording", "<= 100 MB", f"{size:.1f} MB", size <= 100),
         Row("... peak memory", "<= 1500 MB", f"{peak:.0f} MB", peak <= 1500),
     ]
@@ -337,7 +356,11 @@ def startup(cwd: Path) -> list[Row]:
         for name, command in (("dssmsg", ["-m", "dssmsg"]), ("bare", [str(bare)])):
             start = time.monotonic()
             subprocess.run(
-                [sys.executable, *command, "--help"], env=ENVIRONMENT, capture_output=True, check=True, cwd=cwd
+                [sys.executable, *command, "--help"],
+                env=ENVIRONMENT,
+                capture_output=True,
+                check=True,
+                cwd=cwd,
             )
             times[name].append(time.monotonic() - start)
     ratio = statistics.median(times["dssmsg"]) / statistics.median(times["bare"])
@@ -359,7 +382,9 @@ STAGES: dict[str, Callable[[Path], list[Row]]] = {
 
 def main() -> int:
     """Run what is missing, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", nargs="+", choices=STAGES, help="these stages alone")
     parser.add_argument("--fresh", action="store_true", help="measure again what is already there")
     parser.add_argument("--list", action="store_true", help="list the stages")
@@ -399,7 +424,7 @@ def print_table(names: list[str]) -> int:
     asked = max(len(row.asked) for row in rows)
     for row in rows:
         mark = {True: "holds", False: "FAILS", None: "-"}[row.holds]
-        print(f"{row.what:{width}}  {row.asked:{asked}}  {mark:5}  {re.sub(r'\s+', ' ', row.measured)}")
+        print(f"{row.what:{width}}  {row.asked:{asked}}  {mark:5}  {' '.join(row.measured.split())}")
     return int(any(row.holds is False for row in rows))
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # dssmsg.interfaces imports this module
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunStarted:
-    """The first event. `config` is the resolved configuration without secrets; `plugins` kind -> name, version, origin."""
+    """The first event. `config` is the resolved configuration; `plugins` kind -> name, version, origin."""
 
     run_id: str
     name: str

@@ -190,7 +190,7 @@ class Detection:
                 continue
             vector = frozen_array(name, value, np.float32, (None,), finite=True)
             if abs(float(np.linalg.norm(vector)) - 1.0) > 1e-3:
-                raise ValueError(f"{name}: expected a unit vector, its length is {np.linalg.norm(vector):.4f}")
+                raise ValueError(f"{name}: expected a unit vector, got length {np.linalg.norm(vector):.4f}")
             fix(self, name, vector)
 
 

@@ -45,7 +45,12 @@ class Register(Protocol):
     """What a hook is given to announce a plug-in."""
 
     def __call__(
-        self, name: str, factory: Factory, *, config: type[PluginConfig] = PluginConfig, needs_truth: bool = False
+        self,
+        name: str,
+        factory: Factory,
+        *,
+        config: type[PluginConfig] = PluginConfig,
+        needs_truth: bool = False,
     ) -> None:
         """Announce `name`; with `needs_truth` its frames keep the simulator's truth."""
         ...

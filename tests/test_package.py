@@ -1,4 +1,4 @@
-"""What is shipped: every folder listed, every stock plug-in an entry point, and a wheel that runs anywhere."""
+"""What is shipped: every folder listed, every stock plug-in an entry point, a wheel that runs anywhere."""
 
 from __future__ import annotations
 

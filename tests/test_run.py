@@ -17,7 +17,17 @@ BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
 def test_the_summary_is_the_json_contract(oracle_run):
-    wanted = {"recording", "seed", "frames", "objects", "waypoints", "changes", "episodes", "errors", "seconds"}
+    wanted = {
+        "recording",
+        "seed",
+        "frames",
+        "objects",
+        "waypoints",
+        "changes",
+        "episodes",
+        "errors",
+        "seconds",
+    }
     assert wanted <= set(oracle_run.summary)
     assert oracle_run.summary["frames"] == 150
     assert oracle_run.summary["collisions"] == 0
@@ -89,7 +99,7 @@ def test_the_log_holds_scores_and_thresholds(oracle_run):
 
 @pytest.mark.parametrize("index", [0, 37, 149])
 def test_frames_come_back_exactly(oracle_run, index):
-    """Replayed frames of a lossless recording go through the simulator's pixels: run the same again and compare."""
+    """Lossless images: what is read is a frame with a picture, depth and pose, and no truth on it."""
     with Recording.open(oracle_run.recording) as recording:
         frame = recording.frame(index)
         assert frame.index == index
@@ -111,12 +121,15 @@ def test_replaying_a_recording_gives_the_same_log(oracle_run, tmp_path):
 
 
 def test_connectedness_can_fail():
-    from dssmsg.graph.changes import Cause, WaypointAdded
     import numpy as np
+
+    from dssmsg.graph.changes import Cause, WaypointAdded
 
     graph = SceneGraph()
     places = np.array([[0.0, 0, 0], [5.0, 0, 0]])
     for number, position in enumerate(places, 1):
-        graph.apply(WaypointAdded(cause=Cause("test", "t"), waypoint_id=f"waypoint-{number}", position=position))
+        graph.apply(
+            WaypointAdded(cause=Cause("test", "t"), waypoint_id=f"waypoint-{number}", position=position)
+        )
     assert not are_connected(graph, places[0], places[1])
     assert are_connected(graph, places[0], places[0])

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from test_drive import Unicycle
+
 from dssmsg.interfaces import Stop
 from dssmsg.mission.drive import Driver, wrap_angle
 from dssmsg.mission.keyframes import KeyFrameSelector
 from dssmsg.mission.survey import Surveyor
-from test_drive import Unicycle
 
 
 def drive(tour, *, blocked=False, frames=800):

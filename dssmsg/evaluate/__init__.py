@@ -1,1 +1,1 @@
-"""Quality: scorers against the simulator's truth, and the tables made of them. Time is measured in benchmarks/."""
+"""Quality: scorers against the simulator's truth and their tables. Time is measured in benchmarks/."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import networkx as nx
@@ -50,7 +51,7 @@ def driven_pairs(recording: Recording) -> list[tuple[np.ndarray, np.ndarray]]:
         if row["state"] == "look":
             frame = int(row["frame"])
             stops.append((recording.visit(frame), recording.frame(frame).world_from_base[:3, 3]))
-    return [(a, b) for (visit, a), (other, b) in zip(stops, stops[1:], strict=False) if visit == other]
+    return [(a, b) for (visit, a), (other, b) in pairwise(stops) if visit == other]
 
 
 def are_connected(graph: GraphView, a: np.ndarray, b: np.ndarray) -> bool:
@@ -63,7 +64,7 @@ def are_connected(graph: GraphView, a: np.ndarray, b: np.ndarray) -> bool:
         if edge.kind == PATH and not edge.attributes.get("blocked", False)
     )
     ends = [
-        min(graph.waypoints.values(), key=lambda w: float(np.linalg.norm(w.position - place)))  # noqa: B023
+        min(graph.waypoints.values(), key=lambda w: float(np.linalg.norm(w.position - place)))
         for place in (a, b)
     ]
     return bool(nx.has_path(roads, ends[0].id, ends[1].id))

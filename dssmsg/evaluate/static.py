@@ -56,7 +56,9 @@ class StaticScore:
         return float(np.median(self.centre_errors_m)) if self.centre_errors_m else float("nan")
 
 
-def score_static(objects: Iterable[ObjectNode], places: Sequence[Place], *, min_frames: int = MIN_FRAMES) -> StaticScore:
+def score_static(
+    objects: Iterable[ObjectNode], places: Sequence[Place], *, min_frames: int = MIN_FRAMES
+) -> StaticScore:
     """Match believed objects to the true static objects one-to-one, by label and place.
 
     A match needs the label and 3D IoU >= 0.25 with the visible surface or with the whole true box, or the

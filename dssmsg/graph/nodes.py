@@ -15,7 +15,7 @@ PATH, SEES, NEAR = "path", "sees", "near"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectNode:
-    """An object (N_O). points (N, 3) float32 world metres, one a voxel, in order of first sight; colors (N, 3).
+    """An object (N_O). points (N, 3) float32 world metres, one a voxel, by first sight; colors (N, 3) uint8.
 
     `votes` label -> summed confidence; `observations` is the number of merged detections, `frames` the
     frame indices they came from; `viewpoints` the ids it was seen from, in order of first sight;

@@ -53,7 +53,7 @@ class GraphView(Protocol):
         ...
 
     def objects_touching(self, box_min: FloatArray, box_max: FloatArray) -> list[str]:
-        """Ids of the objects whose box touches a box, by a spatial index, in order of creation (by number)."""
+        """Ids of the objects whose box touches a box, by spatial index, in order of creation (by number)."""
         ...
 
     def viewpoints_near(self, position: FloatArray, radius: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""A sentence becomes a target graph: the request to the LLM, its schema, and the parsed answer (paper III-C)."""
+"""A sentence becomes a target graph: the request to the LLM, its schema, the parsed answer (paper III-C)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,11 @@ TARGET_GRAPH_SCHEMA: Mapping[str, Any] = {
                 "required": ["label"],
                 "properties": {
                     "label": {"type": "string", "minLength": 1, "maxLength": 80},
-                    "attributes": {"type": "array", "maxItems": 8, "items": {"type": "string", "maxLength": 80}},
+                    "attributes": {
+                        "type": "array",
+                        "maxItems": 8,
+                        "items": {"type": "string", "maxLength": 80},
+                    },
                 },
             },
         },
@@ -47,9 +51,9 @@ TARGET_GRAPH_SCHEMA: Mapping[str, Any] = {
 
 _INSTRUCTIONS = (
     "You turn a sentence about a place or an object in a home into a target graph. Nodes are object labels "
-    "(singular nouns) with attributes such as colours; edges are spatial relations between two nodes, by index; "
-    "core is the index of the node that the sentence is about. kind is explicit where the sentence names the "
-    "objects, implicit where it only names a purpose: then list the objects that such a place usually has. "
+    "(singular nouns) with attributes such as colours; edges are spatial relations between two nodes, by "
+    "index; core is the index of the node that the sentence is about. kind is explicit where the sentence names "
+    "the objects, implicit where it only names a purpose: then list the objects that such a place usually has. "
     "Answer with JSON alone."
 )
 

@@ -17,7 +17,14 @@ from dssmsg import __version__, checks
 from dssmsg.config import RunConfig, Slot
 from dssmsg.contexts import ContextFactory
 from dssmsg.errors import ConfigError, InputError
-from dssmsg.events import EpisodeEnded, ErrorOccurred, NavigationChanged, PhaseStarted, RunFinished, RunStarted
+from dssmsg.events import (
+    EpisodeEnded,
+    ErrorOccurred,
+    NavigationChanged,
+    PhaseStarted,
+    RunFinished,
+    RunStarted,
+)
 from dssmsg.frame import Frame
 from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.nodes import BELIEVED
@@ -30,6 +37,7 @@ from dssmsg.lift import Lifter
 from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.drive import Driver
 from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
+from dssmsg.mission.llm_log import LoggedLlm
 from dssmsg.mission.pipeline import Pipeline, Plugins
 from dssmsg.mission.seek import Seeker
 from dssmsg.mission.survey import Surveyor
@@ -52,7 +60,9 @@ class RunResult:
     exit_code: int
 
 
-def run_mission(config: RunConfig, host: Host, *, observers: Sequence[tuple[str, Observer]] = ()) -> RunResult:
+def run_mission(
+    config: RunConfig, host: Host, *, observers: Sequence[tuple[str, Observer]] = ()
+) -> RunResult:
     """Carry out the mission of a configuration.
 
     `observers` are told everything besides the configured ones. Raises ConfigError, InputError before
@@ -92,7 +102,9 @@ class Mission:
                 if kind == "encoder":
                     self._contexts.encoder = built.plugin
                 elif kind == "llm":
-                    self._contexts.llm = built.plugin
+                    self._contexts.llm = LoggedLlm(
+                        built.plugin, built.registration.name, lambda event: self._bus.tell(event), self._now
+                    )
             self._check_feature_space()
             built_observers = [
                 (name, self._build_slot("observer", slot, f"recording.observers.{name}").plugin)
@@ -124,10 +136,7 @@ class Mission:
             finally:
                 self._source.close()
             summary = self._summary()
-            last = self._frame
-            self._bus.tell(
-                RunFinished(last.index if last else -1, last.sim_time if last else 0.0, summary)
-            )
+            self._bus.tell(RunFinished(*self._now(), summary))
         finally:
             self._guard.close()
             self._bus.close()
@@ -227,7 +236,11 @@ class Mission:
     def _begin(self, phase: str, visit: int) -> None:
         if visit != self._visit:
             with self._pipeline.stage("source"):
-                self._guard.call(self._built["source"].registration.id, "start_visit", lambda: self._source.start_visit(visit))
+                self._guard.call(
+                    self._built["source"].registration.id,
+                    "start_visit",
+                    lambda: self._source.start_visit(visit),
+                )
             self._visit = visit
         index, sim_time = (self._frame.index + 1, self._frame.sim_time) if self._frame else (0, 0.0)
         self._bus.tell(PhaseStarted(phase, visit, index, sim_time))
@@ -271,8 +284,9 @@ class Mission:
 
     def _seek(self) -> None:
         built = self._built
+        assert self._contexts.llm is not None  # built before any phase
         seeker = Seeker(
-            llm=built["llm"].plugin,
+            llm=self._contexts.llm,
             grounding=built["grounding"].plugin,
             navigation=built["navigation"].plugin,
             names={kind: built[kind].registration.id for kind in ("llm", "grounding", "navigation")},
@@ -300,7 +314,9 @@ class Mission:
         """The next frame of the source; None at the end of the visit or of the frame budget."""
         budget = self._config.mission.max_frames
         if self._pipeline.tally.frames >= budget:
-            self._skip("mission", f"mission.max_frames ({budget}) is used up", f"the rest of visit {self._visit}")
+            self._skip(
+                "mission", f"mission.max_frames ({budget}) is used up", f"the rest of visit {self._visit}"
+            )
             return None
         name = self._built["source"].registration.id
         with self._pipeline.stage("source"):
@@ -324,11 +340,11 @@ class Mission:
             self._phase_state = (state, detail)
             self._bus.tell(NavigationChanged(frame.index, frame.sim_time, state, detail, target_xy=target_xy))
 
+    def _now(self) -> tuple[int, float]:
+        return (self._frame.index, self._frame.sim_time) if self._frame else (-1, 0.0)
+
     def _skip(self, who: str, message: str, skipped: str) -> None:
-        frame = self._frame
-        self._bus.tell(
-            ErrorOccurred(frame.index if frame else -1, frame.sim_time if frame else 0.0, who, message, skipped)
-        )
+        self._bus.tell(ErrorOccurred(*self._now(), who, message, skipped))
 
     # Summing up
 
@@ -341,7 +357,9 @@ class Mission:
             "seed": self._config.seed,
             "source": self._info.name,
             "scene": self._info.scene,
-            "notes": [str(self._info.facts[key]) for key in ("furniture", "renderer") if key in self._info.facts],
+            "notes": [
+                str(self._info.facts[key]) for key in ("furniture", "renderer") if key in self._info.facts
+            ],
             "frames": tally.frames,
             "key_frames": tally.key_frames,
             "objects": believed,
@@ -350,9 +368,7 @@ class Mission:
             "viewpoints": len(self.graph.viewpoints),
             "changes": dict(sorted(tally.changes.items())),
             "dropped_detections": dict(sorted(tally.dropped.items())),
-            "episodes": [
-                {"goal": e.goal, "outcome": e.outcome, "reason": e.reason} for e in self._episodes
-            ],
+            "episodes": [{"goal": e.goal, "outcome": e.outcome, "reason": e.reason} for e in self._episodes],
             "errors": self._bus.errors,
             "collisions": self._source.collisions(),
             "skipped_stops": list(self._skipped_stops),

@@ -12,7 +12,12 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.guard import Guard
 from dssmsg.interfaces import Command, Grounding, Llm, Navigation, TargetGraph
 from dssmsg.mission.bus import ObserverBus
-from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_json, target_graph_request
+from dssmsg.mission.goal import (
+    TARGET_GRAPH_SCHEMA,
+    parse_target_graph,
+    target_graph_json,
+    target_graph_request,
+)
 from dssmsg.mission.pipeline import Pipeline
 
 
@@ -88,7 +93,10 @@ class Seeker:
     def _drive(self, goals: tuple[str, ...], frame: Frame) -> tuple[str, Frame, int]:
         name, failed = self.names["navigation"], object()
         state, frames = "", 0
-        if self.guard.call(name, "start", lambda: self.navigation.start(frame, goals), default=failed) is failed:
+        if (
+            self.guard.call(name, "start", lambda: self.navigation.start(frame, goals), default=failed)
+            is failed
+        ):
             return "navigation failed", frame, frames
         while frames < self.max_frames:
             current = frame

@@ -89,6 +89,8 @@ def _telling_apart(state: Mapping[str, Placed]) -> Iterator[str]:
         for other in pieces[:index]:
             if piece.model.label != other.model.label or piece.model.label == "chair":
                 continue
+            if piece.room != other.room:  # nobody sees both of them from one side of a wall
+                continue
             gap = np.maximum(piece.box_min - other.box_max, other.box_min - piece.box_max)
             distance = float(np.linalg.norm(np.maximum(gap, 0.0)))
             if distance < TWIN_GAP_M:

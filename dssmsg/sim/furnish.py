@@ -19,6 +19,8 @@ from dssmsg.sim.solid import Solid, overlap_depth
 WAY_HALF_M = 0.32
 """Half the width of the ways kept free: the robot's radius and some room to steer."""
 _FRONT_M = 0.25
+_TOP_M = 0.7
+"""Room kept above what carries things, so that nothing hangs into them."""
 _TRIES = 30
 _WALL_YAW = {"north": 0.0, "east": -math.pi / 2, "south": math.pi, "west": math.pi / 2}
 Size = tuple[float, float, float]
@@ -218,7 +220,8 @@ class Furnisher:
         piece = _piece(self.name(want.category), want, solid)
         self.pieces.append(piece)
         # Some air around each piece keeps things of one name apart and fronts in view.
-        taken.append(_grown(solid, 0.06 if not want.free else _FRONT_M))
+        above = _TOP_M if want.holds or want.top else 0.0
+        taken.append(_grown(solid, 0.06 if not want.free else _FRONT_M, above))
         self.solids.append(solid)
         if want.top is not None:
             category, size = want.top
@@ -253,9 +256,10 @@ def _piece(name: str, want: Want, solid: Solid) -> Piece:
     return Piece(id=name, category=want.category, size=want.size, at=at, z=want.z or 0.0, yaw_deg=yaw)
 
 
-def _grown(solid: Solid, margin: float) -> Solid:
-    half = (solid.half[0] + margin, solid.half[1] + margin, solid.half[2])
-    return Solid(solid.center, half, solid.yaw_rad)
+def _grown(solid: Solid, margin: float, above: float = 0.0) -> Solid:
+    half = (solid.half[0] + margin, solid.half[1] + margin, solid.half[2] + above / 2)
+    center = (solid.center[0], solid.center[1], solid.center[2] + above / 2)
+    return Solid(center, half, solid.yaw_rad)
 
 
 def _spread(count: int, width: float) -> list[float]:

@@ -67,15 +67,16 @@ class _Place:
 
 def generate_scene(seed: int) -> Scene:
     """An apartment of 4 to 7 furnished rooms; the same seed always gives the same one."""
+    programme = _PROGRAMMES[int(np.random.default_rng(seed).integers(4, 8))]
     for attempt in range(_ATTEMPTS):
-        scene = _attempt(seed, np.random.default_rng([seed, attempt]))
+        scene = _attempt(seed, programme, np.random.default_rng([seed, attempt]))
         if scene is not None:
             return scene
     raise RuntimeError(f"no apartment came of seed {seed} in {_ATTEMPTS} attempts")
 
 
-def _attempt(seed: int, rng: np.random.Generator) -> Scene | None:
-    rooms = _rooms(rng)
+def _attempt(seed: int, programme: Sequence[str], rng: np.random.Generator) -> Scene | None:
+    rooms = _rooms(programme, rng)
     doors = _doors(rng, rooms)
     if doors is None:
         return None
@@ -117,12 +118,11 @@ def _attempt(seed: int, rng: np.random.Generator) -> Scene | None:
 # The plan: areas by room type, cut out of a rectangle, joined by doors.
 
 
-def _rooms(rng: np.random.Generator) -> tuple[Room, ...]:
-    programme = list(_PROGRAMMES[int(rng.integers(4, 8))])
+def _rooms(programme: Sequence[str], rng: np.random.Generator) -> tuple[Room, ...]:
     plans = []
     for _ in range(_PLANS):
-        rng.shuffle(programme)
-        wanted = [(kind, _AREAS[kind] * float(rng.uniform(0.85, 1.15))) for kind in programme]
+        kinds = [programme[int(i)] for i in rng.permutation(len(programme))]
+        wanted = [(kind, _AREAS[kind] * float(rng.uniform(0.85, 1.15))) for kind in kinds]
         aspect = float(rng.uniform(1.0, 1.6))
         depth = math.sqrt(sum(area for _, area in wanted) / aspect)
         plans.append(_cut((0.0, depth * aspect, 0.0, depth), wanted, rng))

@@ -35,8 +35,8 @@ class SensorNoise(BaseModel):
         1,
         ge=1,
         le=16,
-        description="side, in pixels, of the patches that share one error: a stereo camera matches windows, not "
-        "single pixels",
+        description="side, in pixels, of the patches that share one error: a stereo camera matches windows, "
+        "not single pixels",
     )
     min_range: float = Field(0.1, ge=0, le=100, description="no depth below this, metres")
     max_range: float = Field(10.0, gt=0, le=65, description="no depth beyond this, metres")
@@ -84,7 +84,8 @@ class SensorNoise(BaseModel):
     def _depth(self, render: Render, rng: np.random.Generator) -> FloatArray:
         depth = render.depth.copy()
         if self.depth_a or self.depth_b:
-            noise = _patches(_normal(_patch_counts(depth.shape, self.depth_grain), rng), self.depth_grain, depth.shape)
+            grain = self.depth_grain
+            noise = _patches(_normal(_patch_counts(depth.shape, grain), rng), grain, depth.shape)
             depth += noise * (self.depth_a + self.depth_b * depth * depth)
         lost: MaskArray = (render.depth < self.min_range) | (render.depth > self.max_range)
         if self.edge_jump and self.edge_dropout:

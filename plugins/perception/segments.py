@@ -83,7 +83,7 @@ class Segments:
         return self._pieces(frame, free, points, normals)
 
     def _pieces(
-        self, frame: Frame, free: MaskArray, points: FloatArray, normals: FloatArray
+        self, frame: Frame, free: MaskArray, points: Float32Array, normals: Float32Array
     ) -> list[Detection]:
         config = self._config
         cut = free & depth_cuts(frame.depth, config.step, config.step_ratio)
@@ -112,7 +112,9 @@ class Segments:
         return detections
 
 
-def surface_normals(points: FloatArray, valid: MaskArray, position: FloatArray, reach: int = 2) -> FloatArray:
+def surface_normals(
+    points: Float32Array, valid: MaskArray, position: FloatArray, reach: int = 2
+) -> Float32Array:
     """(H, W, 3) unit normals towards `position` of world points (H, W, 3), smoothed over 5 x 5 pixels.
 
     Zero where a pixel has no reading, or too little around it.
@@ -134,15 +136,16 @@ def surface_normals(points: FloatArray, valid: MaskArray, position: FloatArray, 
     facing = np.einsum("ijk,ijk->ij", normals, smooth - position.astype(np.float32)) > 0
     usable = valid & (weight > 0.5) & (length > 1e-12)
     scale = np.where(usable, np.where(facing, -1.0, 1.0) / np.maximum(length, 1e-12), 0.0)
-    return normals * scale[..., None]
+    normals *= scale[..., None]
+    return normals
 
 
 def room_planes(
-    points: FloatArray,
-    normals: FloatArray,
+    points: Float32Array,
+    normals: Float32Array,
     valid: MaskArray,
     position: FloatArray,
-    margin: FloatArray,
+    margin: NDArray[np.floating[Any]],
     wall_height: float,
     wall_pixels: float,
 ) -> MaskArray:
@@ -180,7 +183,7 @@ def room_planes(
 
 
 def _level(
-    heights: NDArray[np.floating], *, lowest: bool, bin_m: float = 0.02, least: int = 400
+    heights: NDArray[np.floating[Any]], *, lowest: bool, bin_m: float = 0.02, least: int = 400
 ) -> float | None:
     """The lowest (or highest) height that at least `least` of the pixels share, or None."""
     if len(heights) < least:
@@ -197,7 +200,7 @@ def _level(
     return start + (float(best) + 0.5) * bin_m
 
 
-def _upright_directions(normals: NDArray[np.floating]) -> list[FloatArray]:
+def _upright_directions(normals: NDArray[np.floating[Any]]) -> list[FloatArray]:
     """The four horizontal unit vectors (2,) of the room's main axes, from upright normals (N, 3)."""
     if len(normals) < 200:
         return []
@@ -212,7 +215,7 @@ def _upright_directions(normals: NDArray[np.floating]) -> list[FloatArray]:
     return [np.array([math.cos(base + k * math.pi / 2), math.sin(base + k * math.pi / 2)]) for k in range(4)]
 
 
-def _offsets(values: NDArray[np.floating], least: int, bin_m: float = 0.03) -> list[float]:
+def _offsets(values: NDArray[np.floating[Any]], least: int, bin_m: float = 0.03) -> list[float]:
     """Offsets that at least `least` values crowd around, local maxima of a histogram."""
     if len(values) < least:
         return []
@@ -246,7 +249,7 @@ def depth_cuts(depth: NDArray[np.float32], step: float, step_ratio: float) -> Ma
     return cut
 
 
-def concave_creases(points: FloatArray, normals: FloatArray, angle: float, reach: int = 3) -> MaskArray:
+def concave_creases(points: Float32Array, normals: Float32Array, angle: float, reach: int = 3) -> MaskArray:
     """(H, W) bool: pixels where the surface folds towards the camera by more than `angle` radians.
 
     Points p, q with normals n, m are on a concave fold where (m - n) . (q - p) < 0: n and m lean together.
@@ -282,7 +285,7 @@ def _fill_cuts(
     return filled
 
 
-def _world_points(frame: Frame) -> FloatArray:
+def _world_points(frame: Frame) -> Float32Array:
     """(H, W, 3) float32 world points of all pixels; those without a reading lie at the camera."""
     rays = pixel_rays(frame.camera).astype(np.float32)
     pose = frame.world_from_camera.astype(np.float32)
