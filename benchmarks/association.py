@@ -10,8 +10,8 @@ thread, measurements interleaved, medians. Two comparisons, as CI wants them:
 - `map_growth`: time a frame (association and graph update) with 2,000 objects in the map over that with 100;
   at most 1.5.
 - `brute_speedup`: at 50 objects, scoring every pair by exhaustive nearest neighbours over our frame time;
-  at least 10. Two exhaustive forms are timed, the faster counts: a KD-tree query of all points for each pair with
-  the trees given, and a blocked matrix product of all distances.
+  at least 10. Two exhaustive forms are timed, the faster counts: a KD-tree query of all points for each
+  pair with the trees given, and a matrix product of all distances.
 
 Exit code 1 if a bound does not hold.
 """

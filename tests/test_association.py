@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from dssmsg.frame import Observation
 from dssmsg.geometry import box_iou
 from dssmsg.graph.changes import ObjectAdded, ObjectChanged, ObjectMerged, ObjectsJoined
-from dssmsg.graph.joining import split_objects
+from dssmsg.graph.joining import contained_pieces
 from dssmsg.graph.scoring import (
     assign,
     confidence,
@@ -277,21 +277,37 @@ def test_joins_run_in_chains_but_not_through_a_pair_seen_apart():
     world.see(dataclasses.replace(third, points_world=third.points_world - np.float32(0.06)))
     ids = list(world.graph.objects)
     assert len(ids) == 3
-    joins = split_objects(world.graph, ids, [], 0.5, 0.1)
+    joins = contained_pieces(world.graph, ids, [], 0.5, 0.1)
     assert len(joins) == 2
     assert {join.object_id for join in joins} == {"object-1"}
-    joins = split_objects(world.graph, ids, ["object-2", "object-3"], 0.5, 0.1)
+    joins = contained_pieces(world.graph, ids, ["object-2", "object-3"], 0.5, 0.1)
     assert len(joins) == 1
 
 
 def test_two_sides_of_one_thing_join_at_the_end_of_the_visit():
     left, right = ((1, 0, 0), (1.4, 0.5, 0.5)), ((1, 0.55, 0), (1.4, 1.0, 0.5))
-    for config, count in (({}, 1), ({"join_contact": 1.0}, 2)):
+    for config, count in (({}, 1), ({"join_gap": 0.0}, 2)):
         world = World(**config)
         world.see(observe("wardrobe", *left))
         world.see(observe("wardrobe", *right))
         world.finish()
         assert len(world.graph.objects) == count
+
+
+def test_things_back_to_back_or_askew_do_not_join_at_the_end():
+    thin = (((1, 0, 1), (1.05, 0.5, 1.5)), ((1.2, 0, 1), (1.25, 0.5, 1.5)))  # two mirrors, a wall between
+    askew = (((1, 0, 0), (1.4, 0.5, 0.5)), ((1.3, 0.55, 0), (1.7, 1.0, 0.5)))
+    for first, second in (thin, askew):
+        world = World()
+        world.see(observe("mirror", *first))
+        world.see(observe("mirror", *second))
+        assert world.finish() == ()
+
+
+def test_neighbours_that_one_frame_saw_stay_two_at_the_end():
+    world = World()
+    world.see(observe("chair", (1, 0, 0), (1.4, 0.5, 0.5)), observe("chair", (1, 0.55, 0), (1.4, 1.0, 0.5)))
+    assert world.finish() == ()
 
 
 def test_belief_needs_votes_and_views():

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from project import FAKES, project
+from project import FAKE_RUN, FAKES, project
 
 from dssmsg.config import load_config
 from dssmsg.contexts import ContextFactory, plugin_rng
@@ -361,29 +361,10 @@ def test_config_with_no_options_accepts_none() -> None:
 
 
 def test_resolved_shows_every_option(tmp_path: Path) -> None:
-    folder = project(
-        tmp_path,
-        {
-            "my.yaml": f"plugins: [{FAKES}]\n"
-            + "".join(
-                f"{kind}: {{use: fake}}\n"
-                for kind in (
-                    "source",
-                    "perception",
-                    "encoder",
-                    "llm",
-                    "association",
-                    "update",
-                    "grounding",
-                    "navigation",
-                )
-            )
-            + "recording: {observers: {rerun: false, fake: {}}}\n"
-        },
-    )
+    folder = project(tmp_path, {"my.yaml": FAKE_RUN})
     config = load_config(folder.path / "my.yaml", environment={})
     host = Host.load(config.plugins, config.base_dir, entry_points=())
     values = host.resolved(config)
     assert values["source"] == {"use": "fake", "frames": 3, "width": 32}
-    assert values["recording"]["observers"] == {"fake": {"use": "fake"}}
+    assert values["recording"]["observers"] == {"fake": {"use": "fake"}, "rerun": False}
     assert sorted(host.check(config)) == sorted(config.slots)

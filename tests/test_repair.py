@@ -171,7 +171,7 @@ def test_the_repaired_copy_goes_away(whole: tuple[Path, SyntheticRun], tmp_path:
         (b"hello, world, this is a text", "not a recording"),
         (b"RRF", "not a recording"),
         (b"RRF2" + bytes(8), "nothing can be read"),
-        (b"RRF2\x00)\x00\x00\x01\x02\x00\x00" + b"\xff" * 400, "nothing can be read"),
+        (b"RRF2\x00)\x00\x00\x01\x02\x00\x00" + b"\xff" * 400, "holds no recording"),
     ],
 )
 def test_what_is_no_recording_is_said_with_its_path(tmp_path: Path, content: bytes, words: str) -> None:

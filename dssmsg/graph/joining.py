@@ -2,55 +2,96 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from dssmsg.geometry import grow_box, points_in_box
 from dssmsg.graph.ids import id_order
+from dssmsg.graph.nodes import ObjectNode
 from dssmsg.graph.scoring import neighbour_share
 from dssmsg.graph.view import GraphView
 
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """`absorbed_id` is part of `object_id`, the older one; `share` 0..1 is what joined them."""
+    """`absorbed_id` is part of `object_id`, the older one. `value` is what joined them: a share, or a gap in
+    metres, held against `limit`."""
 
     object_id: str
     absorbed_id: str
-    share: float
+    value: float
+    limit: float
 
 
-def split_objects(
+def contained_pieces(
     graph: GraphView, touched: Iterable[str], apart: Iterable[str], min_share: float, tolerance: float
 ) -> list[Join]:
-    """Joins among the `touched` objects and what is beside them, to be applied in the order given.
+    """Joins by containment among the `touched` objects and what is beside them, to be applied in this order.
 
     Two objects join where they have the same label and more than `min_share` of the smaller cloud's points
     lie within `tolerance` metres of the larger one, the largest share first. Never two that one frame
     saw as different things, be it in the past (a frame gives an object at most one detection, so their
     `frames` then share an index) or, for the objects in `apart`, in the frame at hand.
     """
-    pairs = []
-    for first, second in sorted(
-        _near_pairs(graph, touched, tolerance), key=lambda pair: [id_order(i) for i in pair]
-    ):
-        a, b = graph.objects[first], graph.objects[second]
-        if a.label != b.label or not set(a.frames).isdisjoint(b.frames):
-            continue
+    found = []
+    for a, b in _candidates(graph, touched, tolerance):
         small, large = (a, b) if len(a.points) <= len(b.points) else (b, a)
         # Points outside the larger one's box have no neighbour on it: no need to ask.
         inside = points_in_box(small.points, *grow_box(large.box_min, large.box_max, tolerance))
-        if np.count_nonzero(inside) <= min_share * len(small.points):
+        bound = np.count_nonzero(inside) / len(small.points)
+        if bound <= min_share:
             continue
-        share = neighbour_share(small.points[inside], graph.tree(large.id), tolerance)
-        share *= np.count_nonzero(inside) / len(small.points)
+        share = bound * neighbour_share(small.points[inside], graph.tree(large.id), tolerance)
         if share > min_share:
-            pairs.append(Join(first, second, float(share)))
-    pairs.sort(key=lambda join: -join.share)  # stable: ties stay in order of ids
-    return _consistent(graph, pairs, apart)
+            found.append(Join(a.id, b.id, share, min_share))
+    found.sort(key=lambda join: -join.value)  # stable: ties stay in order of ids
+    return _consistent(graph, found, apart)
+
+
+def aligned_pieces(
+    graph: GraphView, touched: Iterable[str], apart: Iterable[str], max_gap: float, max_gap_share: float
+) -> list[Join]:
+    """Joins by fit: pieces of one label that line up and leave a small gap, the smallest first.
+
+    For when no view showed the whole: a wardrobe seen left and right of what stands before it, a lamp's foot
+    and shade. Along one axis the pieces may be apart, by at most `max_gap` metres and `max_gap_share` of
+    their joint length, between boxes as between clouds (so that thin things back to back, two mirrors on a
+    wall's two sides, do not fit); along the other axes half of the shorter one must lie beside the other.
+    The same two never join that `contained_pieces` keeps apart.
+    """
+    found = []
+    for a, b in _candidates(graph, touched, max_gap):
+        overlaps = np.minimum(a.box_max, b.box_max) - np.maximum(a.box_min, b.box_min)
+        axis = int(np.argmin(overlaps))
+        shorter = np.minimum(a.box_max - a.box_min, b.box_max - b.box_min)
+        beside = overlaps >= 0.5 * shorter
+        beside[axis] = True
+        joint = float(max(a.box_max[axis], b.box_max[axis]) - min(a.box_min[axis], b.box_min[axis]))
+        limit = min(max_gap, max_gap_share * joint)
+        if not beside.all() or -overlaps[axis] > limit:
+            continue
+        small, large = (a, b) if len(a.points) <= len(b.points) else (b, a)
+        gaps, _ = graph.tree(large.id).query(small.points, distance_upper_bound=limit)
+        gap = float(np.min(gaps))
+        if gap < limit:
+            found.append(Join(a.id, b.id, gap, limit))
+    found.sort(key=lambda join: join.value)
+    return _consistent(graph, found, apart)
+
+
+def _candidates(
+    graph: GraphView, touched: Iterable[str], distance: float
+) -> Iterator[tuple[ObjectNode, ObjectNode]]:
+    """Pairs (older, newer) within `distance` with one label that no past frame saw as two, in order of ids."""
+    for first, second in sorted(
+        _near_pairs(graph, touched, distance), key=lambda pair: [*map(id_order, pair)]
+    ):
+        a, b = graph.objects[first], graph.objects[second]
+        if a.label == b.label and set(a.frames).isdisjoint(b.frames):
+            yield a, b
 
 
 def _near_pairs(graph: GraphView, touched: Iterable[str], tolerance: float) -> set[tuple[str, str]]:
@@ -93,5 +134,5 @@ def _consistent(graph: GraphView, pairs: list[Join], apart: Iterable[str]) -> li
         root[lose] = keep
         frames[keep] |= frames.pop(lose)
         members[keep] |= members.pop(lose)
-        joins.append(Join(keep, lose, pair.share))
+        joins.append(replace(pair, object_id=keep, absorbed_id=lose))
     return joins

@@ -7,6 +7,7 @@ this process) once `flush` returns. Memory does not grow with the number of fram
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from dssmsg.recording.scene_log import SceneLog
 from dssmsg.recording.sheets import SheetBook, Stamp, path_part
 
 FLUSH_TIMEOUT_SECS = 20.0
+_FLUSH_SLICE_SECS = 2.0
 _CHANGE_GROUPS = {
     "object_added": "objects added",
     "object_merged": "merges",
@@ -69,6 +71,7 @@ class RecordingWriter:
         self._scene_waits = False
         self._candidate_rows = 0
         self._last = (0, 0.0)
+        self._failed = False
         self._writers: dict[type, Callable[[Any], None]] = {
             events.RunStarted: self._run_started,
             events.PhaseStarted: self._phase_started,
@@ -99,15 +102,34 @@ class RecordingWriter:
         """Bring everything told so far into the file. Raises StorageError if that failed."""
         try:
             self._book.send()
-            self._stream.flush(timeout_sec=FLUSH_TIMEOUT_SECS)
+            self._flush_stream()
         except (RuntimeError, OSError) as error:
+            self._failed = True
             raise StorageError(
                 f"the recording could not be written ({error}): is the disk full?", file=self.path
             ) from error
 
+    def _flush_stream(self) -> None:
+        """Flush in short waits: one that began while the file's thread was dying would wait to its very end.
+
+        The next one finds that thread gone and fails at once.
+        """
+        deadline = time.monotonic() + FLUSH_TIMEOUT_SECS
+        while True:
+            begun = time.monotonic()
+            try:
+                self._stream.flush(timeout_sec=_FLUSH_SLICE_SECS)
+                return
+            except RuntimeError:
+                timed_out = time.monotonic() - begun > 0.9 * _FLUSH_SLICE_SECS
+                if not timed_out or time.monotonic() > deadline:
+                    raise
+
     def close(self) -> None:
         """Draw what was left waiting, flush, and write the file's footer."""
         try:
+            if self._failed:
+                return
             if self._scene_waits:
                 self._scene.update(self._graph, *self._last, everything=True)
             self.flush()

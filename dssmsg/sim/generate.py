@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dssmsg.errors import InputError
 from dssmsg.sim.furnish import SMALL, Furnisher, Slot
 from dssmsg.sim.occupancy import Occupancy
 from dssmsg.sim.scene import (
@@ -66,13 +67,18 @@ class _Place:
 
 
 def generate_scene(seed: int) -> Scene:
-    """An apartment of 4 to 7 furnished rooms; the same seed always gives the same one."""
+    """An apartment of 4 to 7 furnished rooms; the same seed always gives the same one.
+
+    Raises InputError for a seed of which nothing drivable comes (none is known).
+    """
     programme = _PROGRAMMES[int(np.random.default_rng(seed).integers(4, 8))]
     for attempt in range(_ATTEMPTS):
         scene = _attempt(seed, programme, np.random.default_rng([seed, attempt]))
         if scene is not None:
             return scene
-    raise RuntimeError(f"no apartment came of seed {seed} in {_ATTEMPTS} attempts")
+    raise InputError(
+        f"no apartment came of seed {seed} in {_ATTEMPTS} attempts; take another", key="source.scene"
+    )
 
 
 def _attempt(seed: int, programme: Sequence[str], rng: np.random.Generator) -> Scene | None:

@@ -22,7 +22,7 @@ from dssmsg.geometry import Sight, grow_box, points_in_box, sight_of_points
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectMerged, ObjectsJoined, Score
 from dssmsg.graph.fusion import appended, counted
 from dssmsg.graph.ids import id_order
-from dssmsg.graph.joining import split_objects
+from dssmsg.graph.joining import Join, aligned_pieces, contained_pieces
 from dssmsg.graph.nodes import BELIEVED, ObjectNode
 from dssmsg.graph.scoring import (
     assign,
@@ -76,16 +76,11 @@ class DssmConfig(PluginConfig):
     join_tolerance: float = Field(
         0.05, gt=0, description="Metres within which a point is on the other object, in the merge pass."
     )
-    join_contact: float = Field(
-        0.05,
-        ge=0,
-        le=1,
-        description="At the end of a visit this share in contact joins; 1 turns it off.",
+    join_gap: float = Field(
+        0.35, ge=0, description="At a visit's end aligned pieces this far apart join, metres; 0 turns it off."
     )
-    join_contact_tolerance: float = Field(
-        0.075,
-        gt=0,
-        description="Metres within which a point is in contact with the other object (one cluster).",
+    join_gap_share: float = Field(
+        0.25, ge=0, le=1, description="Largest such gap as a share of the joint length along it."
     )
     sample: int = Field(
         512, ge=64, description="Points of a cloud asked for neighbours first; all where a threshold is near."
@@ -174,11 +169,10 @@ class DssmAssociation:
     def finish(self) -> Sequence[Change]:
         """A merge pass over the visit; what is not confirmed stays in the graph as tentative.
 
-        By now two pieces of one label that touch, of which no frame of the visit saw both, are more likely
-        two sides of one thing (a wardrobe from the left and from the right of the bed) than neighbours: so here
-        contact joins, not containment alone. Containment is the stronger case of contact.
+        By now two pieces of one label that line up, of which no frame of the visit saw both, are more likely
+        two sides of one thing (a wardrobe from the left and from the right of the bed) than neighbours.
         """
-        joins = self._joins(set(), at_end=True)
+        joins = self._end_joins()
         _, standings = self._after(joins)
         return [*joins, *self._beliefs(standings)]
 
@@ -345,31 +339,24 @@ class DssmAssociation:
             terms.append(Score("overlap", pair.overlap, self._config.merge_min_overlap))
         return tuple(terms)
 
-    def _joins(self, matched: set[str], *, at_end: bool = False) -> list[ObjectsJoined]:
-        """The merge pass over what was touched since the last one, or at the end over all of the visit.
-
-        `matched` holds this frame's objects: it saw them as different things.
-        """
+    def _joins(self, matched: set[str]) -> list[ObjectsJoined]:
+        """The merge pass over what was touched since the last one; `matched` are this frame's different things."""
+        touched, self._touched = self._touched | matched, set()
         config = self._config
-        if at_end and config.join_contact < 1.0:
-            rule, touched = "join_contact", self._visited
-            term, least, tolerance = "contact", config.join_contact, config.join_contact_tolerance
-        else:
-            rule, touched = "join", self._touched | matched
-            term, least, tolerance = "containment", config.join_containment, config.join_tolerance
-        found = split_objects(self._graph, touched, matched, least, tolerance)
+        found = contained_pieces(
+            self._graph, touched, matched, config.join_containment, config.join_tolerance
+        )
+        return [_joined(join, "join", "containment") for join in found]
+
+    def _end_joins(self) -> list[ObjectsJoined]:
+        """The merge pass at the end of a visit, over all of it: what lines up (what is contained does, too)."""
+        config = self._config
+        visited, self._visited = self._visited, set()
+        if config.join_gap == 0.0:
+            return self._joins(set())
         self._touched = set()
-        if at_end:
-            self._visited = set()
-        return [
-            ObjectsJoined(
-                cause=Cause(PLUGIN, rule),
-                scores=(Score(term, join.share, least), Score("tolerance", tolerance)),
-                object_id=join.object_id,
-                absorbed_id=join.absorbed_id,
-            )
-            for join in found
-        ]
+        found = aligned_pieces(self._graph, visited, (), config.join_gap, config.join_gap_share)
+        return [_joined(join, "join_aligned", "gap") for join in found]
 
     def _after(self, joins: Sequence[ObjectsJoined]) -> tuple[dict[str, str], dict[str, _Standing]]:
         """Where each absorbed object ends up, and the standings of those that absorbed some."""
@@ -409,6 +396,15 @@ class DssmAssociation:
 
 def _standing(node: ObjectNode) -> _Standing:
     return _Standing(node.votes, node.viewpoints, node.status == BELIEVED)
+
+
+def _joined(join: Join, rule: str, term: str) -> ObjectsJoined:
+    return ObjectsJoined(
+        cause=Cause(PLUGIN, rule),
+        scores=(Score(term, join.value, join.limit),),
+        object_id=join.object_id,
+        absorbed_id=join.absorbed_id,
+    )
 
 
 @hookimpl

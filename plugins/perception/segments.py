@@ -89,8 +89,8 @@ class Segments:
         cut = free & depth_cuts(frame.depth, config.step, config.step_ratio)
         if config.crease_deg < 180.0:
             cut |= free & concave_creases(points, normals, math.radians(config.crease_deg))
-        labels, count = ndimage.label(free & ~cut)
-        labels = _fill_cuts(labels, free & cut, frame.depth, config.step)
+        pieces, count = ndimage.label(free & ~cut)
+        labels = _fill_cuts(pieces, free & cut, frame.depth, config.step)
         sizes = np.bincount(labels.reshape(-1), minlength=count + 1)
         windows = ndimage.find_objects(labels)
         detections = []
@@ -289,7 +289,8 @@ def _world_points(frame: Frame) -> Float32Array:
     """(H, W, 3) float32 world points of all pixels; those without a reading lie at the camera."""
     rays = pixel_rays(frame.camera).astype(np.float32)
     pose = frame.world_from_camera.astype(np.float32)
-    points = rays * frame.depth.reshape(-1, 1) @ pose[:3, :3].T + pose[:3, 3]
+    points = (rays * frame.depth.reshape(-1, 1)) @ pose[:3, :3].T
+    points = (points + pose[:3, 3]).astype(np.float32, copy=False)
     return points.reshape(*frame.depth.shape, 3)
 
 

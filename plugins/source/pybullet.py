@@ -69,11 +69,14 @@ class SimulatedSource:
         renderer, renderer_note = make_renderer(config.renderer)
         spec = RobotSpec(camera_height=config.camera_height, camera_forward=config.camera_forward)
         self._world = World(scene, library, renderer, robot=spec, scripted=config.changes == "script")
-        check_tour(scene, self._world.layout, self._world.placer, config.visits)
+        try:
+            check_tour(scene, self._world.layout, self._world.placer, config.visits)
+        except Exception:
+            self._world.close()
+            raise
         self._rng = context.rng
         self._index = 0
         self._period = 1.0 / config.rate_hz
-        pieces = self._world.pieces.values()
         self._info = SourceInfo(
             name="pybullet",
             camera=Camera.from_fov(config.width, config.height, HORIZONTAL_FOV_RAD),
@@ -83,13 +86,13 @@ class SimulatedSource:
             rate_hz=config.rate_hz,
             scene=scene.name,
             tours=tuple(tour_of(scene, visit) for visit in range(config.visits)),
-            credits=library.credits([piece.model for piece in pieces]),
+            credits=library.credits([self._world.placer.model(piece) for piece in scene.pieces()]),
             depth_noise_m=self._noise.depth_sigma,
             accelerations=(spec.linear_acceleration, spec.angular_acceleration),
             facts={
                 "scene": scene.name,
                 "rooms": len(scene.rooms),
-                "pieces": len(pieces),
+                "pieces": len(scene.furniture),
                 "furniture": library.note,
                 "renderer": renderer_note,
                 "changes": len(scene.changes) if config.changes == "script" else 0,
