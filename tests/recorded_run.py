@@ -54,6 +54,7 @@ def context(run_dir: Path, run_id: str = "synthetic", base_dir: Path | None = No
 
 def record(run: SyntheticRun, path: Path, **options: Any) -> Path:
     """Write a run's events to a finished recording, in this thread."""
+    from dssmsg.recording.repair import optimize
     from dssmsg.recording.writer import RecordingWriter
 
     writer = RecordingWriter(path, run.run_id, **options)
@@ -62,6 +63,7 @@ def record(run: SyntheticRun, path: Path, **options: Any) -> Path:
         if number % 40 == 39:
             writer.flush()
     writer.close()
+    optimize(path)
     return path
 
 

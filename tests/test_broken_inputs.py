@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -45,7 +46,9 @@ def sequence(color: bytes = COLOR, depth: bytes | None = DEPTH, pose: str = POSE
     return files
 
 
-RGBD = FAKE_RUN.replace("source: {use: fake}", "source: {use: rgbd, path: seq}")
+RGBD = FAKE_RUN.replace(
+    "source: {use: fake}", "source: {use: rgbd, path: seq, intrinsics: [30, 30, 15.5, 11.5]}"
+)
 DETECTOR = """
 from fake_plugins import FakePerception
 import numpy as np
@@ -175,8 +178,11 @@ TABLE = [
         "plug-in that raises on import",
         1,
         ("perception/mine", "bad.py", "OSError: gone"),
-        ("run", "--set", "plugins=[bad.py]", "--set", "perception.use=mine"),
-        {"bad.py": "raise OSError('gone')"},
+        ("run", "--set", "perception.use=mine"),
+        {
+            "dssmsg.yaml": FAKE_RUN.replace("plugins: [", "plugins: [bad.py, "),
+            "bad.py": "raise OSError('gone')",
+        },
     ),
     Case(
         "name registered twice",
@@ -297,22 +303,38 @@ def test_a_real_process_ends_the_same(tmp_path: Path) -> None:
     assert done.err == "error: dssmsg.yaml: sead: unknown key; did you mean 'seed'?\n"
 
 
-@pytest.fixture
-def full_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 64 kB that is all but full; needs root."""
-    place = tmp_path / "small"
+@contextmanager
+def mounted(place: Path, options: str) -> Iterator[Path]:
+    """A small file system of its own at `place`; needs root."""
     place.mkdir()
     if os.geteuid() != 0 or shutil.which("mount") is None:
         pytest.skip("mounting a small file system needs root")
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)], capture_output=True
-    )
-    if mounted.returncode != 0:
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)], capture_output=True)
+    if done.returncode != 0:
         pytest.skip("a small file system cannot be mounted here")
     try:
         yield place
     finally:
         subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 64 kB: less than a recording begins with."""
+    with mounted(tmp_path / "small", "size=64k") as place:
+        yield place
+
+
+@pytest.fixture
+def closed_directory(tmp_path: Path) -> Iterator[Path]:
+    """A directory that cannot be written to, not even by root."""
+    place = tmp_path / "closed"
+    if os.geteuid() == 0:
+        with mounted(place, "ro") as closed:
+            yield closed
+    else:
+        place.mkdir(mode=0o555)
+        yield place
 
 
 def test_full_disk_ends_the_run_with_1(tmp_path: Path, full_disk: Path) -> None:
@@ -322,17 +344,16 @@ def test_full_disk_ends_the_run_with_1(tmp_path: Path, full_disk: Path) -> None:
     assert "Traceback" not in done.err
     last = done.err.splitlines()[-1]
     assert last.startswith("error: small/")
-    assert "disk full" in last
+    assert "disk full" in last or "No space left" in last
 
 
-def test_read_only_directory_ends_the_run_with_1(tmp_path: Path) -> None:
-    if os.geteuid() == 0:
-        pytest.skip("root may write everywhere")
-    folder = project(tmp_path, {"dssmsg.yaml": FAKE_RUN, "closed/x": ""})
-    (tmp_path / "closed").chmod(0o555)
-    done = folder.run("run", "--set", "recording.directory=closed/in")
-    assert done.code == 1
-    assert "closed" in done.err
+def test_read_only_directory_ends_the_run_with_1(tmp_path: Path, closed_directory: Path) -> None:
+    for observers in ("rerun: false, fake: {}", "rerun: {}"):
+        folder = project(tmp_path, {"dssmsg.yaml": FAKE_RUN.replace("rerun: false, fake: {}", observers)})
+        done = folder.run("run", "--set", "recording.directory=closed/in")
+        assert done.code == 1
+        assert "Traceback" not in done.err
+        assert "closed" in done.err.splitlines()[-1]
 
 
 def test_environment_of_the_tests_is_clean() -> None:

@@ -212,6 +212,22 @@ def test_entry_points_are_loaded_guarded_and_one_at_a_time(tmp_path: Path) -> No
         host.build("llm", {"use": "good"}, contexts(host, tmp_path))
 
 
+def test_installed_package_with_an_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `pip install` of somebody's package leaves behind, found without naming it anywhere."""
+    project(
+        tmp_path,
+        {
+            "theirs/__init__.py": "",
+            "theirs/eyes.py": GOOD,
+            "theirs-2.1.dist-info/METADATA": "Metadata-Version: 2.1\nName: theirs\nVersion: 2.1\n",
+            "theirs-2.1.dist-info/entry_points.txt": "[dssmsg]\nperception.mine = theirs.eyes\n",
+        },
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    (one,) = [one for one in Host.load((), tmp_path).registrations("perception") if one.name == "mine"]
+    assert (one.origin, one.version) == ("theirs: theirs.eyes", "2.1")
+
+
 def test_unknown_names_list_the_known(tmp_path: Path) -> None:
     host = Host.load([FAKES], tmp_path, entry_points=())
     with pytest.raises(ConfigError, match=r"unknown llm 'fak'; did you mean 'fake'\?; known: fake"):

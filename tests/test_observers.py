@@ -28,7 +28,7 @@ from dssmsg.errors import StorageError
 from dssmsg_plugins.observer import jsonl, rerun
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # writing past the limit fails, as on a full disk
-resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 module = {"rerun": rerun, "jsonl": jsonl}[sys.argv[2]]
 factory = {"rerun": rerun.RerunObserver, "jsonl": jsonl.JsonlObserver}[sys.argv[2]]
 run = SyntheticRun(4000)
@@ -129,7 +129,7 @@ def test_rerun_blocks_and_never_drops(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(RecordingWriter, "write", slow)
     run = SyntheticRun(10)
     told = list(run.events())
-    observer = rerun.RerunObserver(rerun.Config(queue_size=4, optimize=False), context(tmp_path))
+    observer = rerun.RerunObserver(rerun.Config(queue_size=4), context(tmp_path))
     passed = []
 
     def tell() -> None:
@@ -149,7 +149,7 @@ def test_rerun_blocks_and_never_drops(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_rerun_flushes_while_nothing_is_told(tmp_path: Path) -> None:
     run = SyntheticRun(5)
-    observer = rerun.RerunObserver(rerun.Config(flush_secs=0.2, optimize=False), context(tmp_path))
+    observer = rerun.RerunObserver(rerun.Config(flush_secs=0.2), context(tmp_path))
     observer.on_event(run.started())
     for event in run.frame_events(0):
         observer.on_event(event)
@@ -173,8 +173,7 @@ def test_a_writer_that_fails_is_heard_of_and_nobody_waits(
     observer = rerun.RerunObserver(rerun.Config(queue_size=2), context(tmp_path))
     monkeypatch.setattr(RecordingWriter, "write", broken)
     with pytest.raises(ValueError, match="65535"):
-        for event in run.events():
-            observer.on_event(event)
+        tell_all(observer, run)
     with pytest.raises(ValueError, match="65535"):
         observer.close()
 

@@ -158,12 +158,16 @@ def test_seldom_events_come_back(tmp_path: Path) -> None:
     writer.write(run.started())
     evidence = ev.Evidence(7, "object-1", "missed", {"behind_m": 0.4})
     writer.write(
-        ev.WindowEvaluated("viewpoint-1.1", 9, 1.8, (7, 8), (1, 2), (evidence,), {"object-1": "disappeared"}, 3)
+        ev.WindowEvaluated(
+            "viewpoint-1.1", 9, 1.8, (7, 8), (1, 2), (evidence,), {"object-1": "disappeared"}, 3
+        )
     )
     best = ev.Candidate("viewpoint-1.1", 1, {"s_graph": 1.9, "s_node": 1.0}, {"sink": "object-1"}, "a sink")
     writer.write(ev.Matched("wash up", 9, 1.8, {"nodes": ["sink"]}, (best,)))
     writer.write(ev.Matched("fly", 9, 1.8, {"nodes": []}, ()))
-    writer.write(ev.LlmCalled("target_graph", "lexicon", 9, 1.8, "wash up", "{}", "abc", False, "slow", None, 0.1))
+    writer.write(
+        ev.LlmCalled("target_graph", "lexicon", 9, 1.8, "wash up", "{}", "abc", False, "slow", None, 0.1)
+    )
     writer.write(ev.EpisodeEnded(0, "wash up", "no_path", "blocked", 9, 1.8, {"spl": 0.0}))
     writer.close()
     recording = Recording.open(tmp_path / "r.rrd")

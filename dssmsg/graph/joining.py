@@ -85,7 +85,7 @@ def aligned_pieces(
 def _candidates(
     graph: GraphView, touched: Iterable[str], distance: float
 ) -> Iterator[tuple[ObjectNode, ObjectNode]]:
-    """Pairs (older, newer) within `distance` with one label that no past frame saw as two, in order of ids."""
+    """Pairs (older, newer) within `distance`, of one label, that no past frame saw as two; ordered by id."""
     for first, second in sorted(
         _near_pairs(graph, touched, distance), key=lambda pair: [*map(id_order, pair)]
     ):

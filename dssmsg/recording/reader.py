@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 import tempfile
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +27,8 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.interfaces.source import Command
 from dssmsg.recording import schema
 from dssmsg.recording.images import decode_depth, decode_instances, decode_masks, decode_rgb
-from dssmsg.recording.repair import check_recording, is_finished, repaired_copy
+from dssmsg.recording.messages import has_footer
+from dssmsg.recording.repair import check_recording, repaired_copy
 from dssmsg.recording.rows import detections_from_row, truth_objects
 from dssmsg.recording.store import ChunkFile
 
@@ -37,14 +40,13 @@ Json = dict[str, Any]
 class Recording:
     """One run, read back. A context manager: on leaving, or on `close()`, a repaired copy goes."""
 
-    def __init__(self, path: Path, file: ChunkFile, complete: bool, folder: Any = None) -> None:
+    def __init__(self, path: Path, file: ChunkFile, folder: Path | None = None) -> None:
         self.path = path
         self.readable_path = file.path
         """The file that other programs can read: `path`, or the repaired copy."""
-        self.complete = complete
-        """False for a run that was killed, or is not over."""
         self._file = file
-        self._folder = folder
+        # Removes the folder with the copy at the latest when this object, or the process, goes.
+        self._cleanup = weakref.finalize(self, _remove, folder)
 
     @classmethod
     def open(cls, path: Path | str) -> Recording:
@@ -54,19 +56,23 @@ class Recording:
         """
         path = Path(path)
         check_recording(path)
-        if is_finished(path):
-            recording = cls(path, ChunkFile(path, path), complete=True)
+        if has_footer(path):
+            recording = cls(path, ChunkFile(path, path))
         else:
-            folder = tempfile.TemporaryDirectory(prefix="dssmsg-")
+            folder = Path(tempfile.mkdtemp(prefix="dssmsg-"))
             try:
-                copy = repaired_copy(path, Path(folder.name))
-                recording = cls(path, ChunkFile(copy, path), complete=False, folder=folder)
+                recording = cls(path, ChunkFile(repaired_copy(path, folder), path), folder)
             except BaseException:
-                folder.cleanup()
+                _remove(folder)
                 raise
-            log.warning("%s was not closed properly or is still being written: reading a repaired copy", path)
+            log.warning("%s was cut off, or is still being written: reading a repaired copy", path)
         recording._check_schema()
         return recording
+
+    @property
+    def complete(self) -> bool:
+        """False for a run that was killed, or is not over."""
+        return self.stored_summary is not None
 
     def __enter__(self) -> Recording:
         return self
@@ -76,8 +82,7 @@ class Recording:
 
     def close(self) -> None:
         """Remove the repaired copy, if there is one; safe to call twice."""
-        if self._folder is not None:
-            self._folder.cleanup()
+        self._cleanup()
 
     def _check_schema(self) -> None:
         version = self._file.property(schema.RUN_PROPERTY).get("schema_version")
@@ -338,6 +343,11 @@ class Recording:
     def _span(self) -> str:
         indices = self.frame_indices
         return f"{indices[0]} to {indices[-1]}" if indices else "none"
+
+
+def _remove(folder: Path | None) -> None:
+    if folder is not None:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def newest(directory: Path) -> Path:

@@ -1,16 +1,13 @@
-"""Recordings that were cut off: made readable in a copy, the original untouched. And compaction.
+"""Recordings without an index: cut off, still growing, or just written. Made readable, the content untouched.
 
-An `.rrd` file is a 12-byte header and then messages, each with 16 bytes that give its kind and length; a
-finished one ends in a footer. After `kill -9` the footer is missing, and the last message may be cut short.
-Dropping that last piece leaves a stream that reads; compacting the stream gives it its footer back.
+`repaired_copy` leaves the original alone and reads what is whole; `optimize` finishes a recording in place.
+Both let Rerun's own program compact the messages and write the index.
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import shutil
-import struct
 import subprocess
 import sys
 import tempfile
@@ -18,32 +15,16 @@ from pathlib import Path
 from typing import BinaryIO
 
 from dssmsg.errors import InputError, StorageError
+from dssmsg.recording.messages import HEADER_BYTES, MAGIC, has_footer, whole_length
 
-log = logging.getLogger(__name__)
-
-_MAGIC = b"RRF2"
-_HEADER_BYTES = 12
-_MESSAGE = struct.Struct("<QQ")  # kind, length of the payload
-_FOOTER_MAGIC = b"RRF2FOOT"
-_FOOTER_TAIL_BYTES = 12  # the magic, and four bytes behind it
-_KINDS = frozenset(range(16))  # few kinds exist; anything far above is not a message header
 _OPTIMIZE_TIMEOUT_SECS = 600.0
-
-
-def is_finished(path: Path) -> bool:
-    """Whether a recording was closed properly: it ends in a footer. Raises InputError if it is none."""
-    check_recording(path)
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - _FOOTER_TAIL_BYTES))
-        return file.read().startswith(_FOOTER_MAGIC)
 
 
 def check_recording(path: Path) -> None:
     """Raise InputError unless the path is a readable file that begins like an `.rrd` of this generation."""
     try:
         with path.open("rb") as file:
-            start = file.read(_HEADER_BYTES)
+            start = file.read(HEADER_BYTES)
     except FileNotFoundError as error:
         raise InputError("there is no such recording", file=path) from error
     except IsADirectoryError as error:
@@ -52,23 +33,8 @@ def check_recording(path: Path) -> None:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
     if not start:
         raise InputError("the file is empty; expected a recording (.rrd)", file=path)
-    if not start.startswith(_MAGIC) or len(start) < _HEADER_BYTES:
+    if not start.startswith(MAGIC) or len(start) < HEADER_BYTES:
         raise InputError("not a recording that this version reads; expected an .rrd file", file=path)
-
-
-def whole_length(path: Path) -> int:
-    """The length in bytes of the header and all whole messages, from the start of the file."""
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        position = _HEADER_BYTES
-        while position + _MESSAGE.size <= size:
-            file.seek(position)
-            kind, length = _MESSAGE.unpack(file.read(_MESSAGE.size))
-            end = position + _MESSAGE.size + length
-            if kind not in _KINDS or end > size:
-                break
-            position = end
-        return min(position, size)
 
 
 def repaired_copy(path: Path, folder: Path) -> Path:
@@ -93,9 +59,9 @@ def repaired_copy(path: Path, folder: Path) -> Path:
 
 
 def optimize(path: Path) -> None:
-    """Compact a finished recording in place: a temporary file beside it takes its name once it is complete.
+    """Compact a recording in place and give it its index: a temporary file takes its name once it is whole.
 
-    Raises StorageError if that failed; the recording is then as it was.
+    Raises StorageError if that failed; the recording is then as it was, and reads with a repair.
     """
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=".tmp.rrd")
     os.close(handle)
@@ -105,7 +71,7 @@ def optimize(path: Path) -> None:
         shutil.copymode(path, temporary)
         temporary.replace(path)
     except (OSError, _OptimizeError) as error:
-        raise StorageError(f"could not be compacted ({error}); it is complete as it is", file=path) from error
+        raise StorageError(f"could not be compacted ({error}); nothing of it is lost", file=path) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -142,7 +108,7 @@ def _run_optimize(source: Path, target: Path) -> None:
         )
     except subprocess.TimeoutExpired as error:
         raise _OptimizeError(f"no result after {_OPTIMIZE_TIMEOUT_SECS:.0f} s") from error
-    if done.returncode != 0 or not target.exists() or not is_finished(target):
+    if done.returncode != 0 or not target.exists() or not has_footer(target):
         lines = [line for line in done.stderr.splitlines() if line.strip()]
         raise _OptimizeError(lines[-1].strip() if lines else f"exit code {done.returncode}")
 

@@ -6,9 +6,7 @@ this process) once `flush` returns. Memory does not grow with the number of fram
 
 from __future__ import annotations
 
-import os
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +14,16 @@ import numpy as np
 import rerun as rr
 
 from dssmsg import events
-from dssmsg.errors import StorageError
 from dssmsg.graph import codec
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import describe, palette, rows, schema
 from dssmsg.recording.blueprint import eye_over, review_layout
 from dssmsg.recording.camera_log import CameraLog
 from dssmsg.recording.images import Encoding
+from dssmsg.recording.messages import MessageFile
 from dssmsg.recording.scene_log import SceneLog
 from dssmsg.recording.sheets import SheetBook, Stamp, path_part
 
-FLUSH_TIMEOUT_SECS = 20.0
-_FLUSH_SLICE_SECS = 2.0
 _CHANGE_GROUPS = {
     "object_added": "objects added",
     "object_merged": "merges",
@@ -52,18 +48,18 @@ class RecordingWriter:
         *,
         images: Encoding = "jpeg",
         quality: int = 80,
-        extra_sinks: Sequence[Any] = (),
     ) -> None:
         self.path = path
         self._images: Encoding = images
-        _create_exclusively(path)
+        self._file = MessageFile(path)
         self._stream = rr.RecordingStream(
             schema.APPLICATION_ID,
             recording_id=recording_id,
             # Rows are batched here, a second at a time, and flushed by hand.
             batcher_config=rr.ChunkBatcherConfig(flush_tick=60.0),
         )
-        self._stream.set_sinks(rr.FileSink(path), *extra_sinks)
+        # Not Rerun's own file sink: it truncates what is there, and waits for ever on a disk that is full.
+        self._bytes = rr.binary_stream(self._stream)
         self._book = SheetBook(self._stream)
         self._camera = CameraLog(self._book, images, quality)
         self._graph = SceneGraph()
@@ -71,7 +67,6 @@ class RecordingWriter:
         self._scene_waits = False
         self._candidate_rows = 0
         self._last = (0, 0.0)
-        self._failed = False
         self._writers: dict[type, Callable[[Any], None]] = {
             events.RunStarted: self._run_started,
             events.PhaseStarted: self._phase_started,
@@ -100,40 +95,21 @@ class RecordingWriter:
 
     def flush(self) -> None:
         """Bring everything told so far into the file. Raises StorageError if that failed."""
-        try:
-            self._book.send()
-            self._flush_stream()
-        except (RuntimeError, OSError) as error:
-            self._failed = True
-            raise StorageError(
-                f"the recording could not be written ({error}): is the disk full?", file=self.path
-            ) from error
-
-    def _flush_stream(self) -> None:
-        """Flush in short waits: one that began while the file's thread was dying would wait to its very end.
-
-        The next one finds that thread gone and fails at once.
-        """
-        deadline = time.monotonic() + FLUSH_TIMEOUT_SECS
-        while True:
-            begun = time.monotonic()
-            try:
-                self._stream.flush(timeout_sec=_FLUSH_SLICE_SECS)
-                return
-            except RuntimeError:
-                timed_out = time.monotonic() - begun > 0.9 * _FLUSH_SLICE_SECS
-                if not timed_out or time.monotonic() > deadline:
-                    raise
+        self._book.send()
+        self._file.append(self._bytes.read() or b"")
 
     def close(self) -> None:
-        """Draw what was left waiting, flush, and write the file's footer."""
+        """Draw what was left waiting, flush, and close the file; safe to call twice.
+
+        The file then has no index yet: `dssmsg.recording.repair.optimize` gives it one.
+        """
         try:
-            if self._failed:
-                return
-            if self._scene_waits:
-                self._scene.update(self._graph, *self._last, everything=True)
-            self.flush()
+            if not self._file.closed:
+                if self._scene_waits:
+                    self._scene.update(self._graph, *self._last, everything=True)
+                self.flush()
         finally:
+            self._file.close()
             self._stream.disconnect()
 
     # Events, in the order of `dssmsg.events`.
@@ -351,20 +327,3 @@ class RecordingWriter:
 
     def _draw_scene(self, stamp: Stamp) -> None:
         self._scene_waits = self._scene.update(self._graph, stamp.frame, stamp.sim_time)
-
-
-def _create_exclusively(path: Path) -> None:
-    """Make the empty file: Rerun's file sink would silently truncate one that exists."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    except FileExistsError as error:
-        raise StorageError(
-            "a recording of this name exists already and is not overwritten", file=path
-        ) from error
-    except OSError as error:
-        raise StorageError(
-            f"the recording cannot be created ({error.strerror}); set recording.directory to a folder"
-            " that can be written",
-            file=path,
-        ) from error

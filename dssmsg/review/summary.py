@@ -22,7 +22,7 @@ def summarize(recording: Recording) -> dict[str, Any]:
         **counted,
         **{name: value for name, value in stored.items() if name != "recording"},
         "schema_version": schema.SCHEMA_VERSION,
-        "complete": recording.complete and recording.stored_summary is not None,
+        "complete": recording.complete,
     }
 
 

@@ -15,22 +15,27 @@ PHYSICS_HZ = 240
 
 
 @contextlib.contextmanager
-def _quiet_stdout() -> Iterator[None]:
-    """Send what a C library prints to stdout to stderr instead: stdout carries results alone."""
+def _quiet() -> Iterator[None]:
+    """Drop what a C library prints to stdout and stderr, which carry results and messages of ours."""
     sys.stdout.flush()
-    saved = os.dup(1)
+    sys.stderr.flush()
+    saved = os.dup(1), os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(2, 1)
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
         yield
     finally:
         ctypes.CDLL(None).fflush(None)  # what C has buffered would come out later otherwise
-        os.dup2(saved, 1)
-        os.close(saved)
+        os.dup2(saved[0], 1)
+        os.dup2(saved[1], 2)
+        for descriptor in (*saved, nowhere):
+            os.close(descriptor)
 
 
 def import_pybullet() -> Any:
-    """pybullet, without the line that it prints to stdout when it is first imported."""
-    with _quiet_stdout():
+    """pybullet, without its build time, which it prints when it is first imported."""
+    with _quiet():
         import pybullet
     return pybullet
 
@@ -64,7 +69,7 @@ class Physics:
 
     def load_robot(self, urdf: str) -> int:
         """The robot's body from a URDF file; static bodies only collide with what is not static."""
-        with _quiet_stdout():
+        with _quiet():
             robot: int = self.api.loadURDF(
                 urdf, flags=self.api.URDF_USE_INERTIA_FROM_FILE, physicsClientId=self.client
             )

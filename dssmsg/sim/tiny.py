@@ -18,6 +18,7 @@ from PIL import Image
 from dssmsg.frame import ByteArray, Camera, Float32Array, FloatArray
 from dssmsg.sim.camera import Instance, Render
 from dssmsg.sim.mesh import Mesh
+from dssmsg.sim.physics import import_pybullet
 
 NEAR, FAR = 0.05, 60.0
 """Metres: clipping planes of the depth buffer."""
@@ -36,10 +37,8 @@ class TinyRenderer:
     name = "tiny"
 
     def __init__(self) -> None:
-        import pybullet
-
-        self._bullet: Any = pybullet
-        self._client: int | None = pybullet.connect(pybullet.DIRECT)
+        self._bullet: Any = import_pybullet()
+        self._client: int | None = self._bullet.connect(self._bullet.DIRECT)
         self._folder = tempfile.TemporaryDirectory(prefix="dssmsg-textures-")
         self._textures: dict[
             int, tuple[int, ByteArray]

@@ -340,7 +340,7 @@ class DssmAssociation:
         return tuple(terms)
 
     def _joins(self, matched: set[str]) -> list[ObjectsJoined]:
-        """The merge pass over what was touched since the last one; `matched` are this frame's different things."""
+        """The merge pass over what was touched since the last one; this frame tells `matched` apart."""
         touched, self._touched = self._touched | matched, set()
         config = self._config
         found = contained_pieces(
@@ -349,7 +349,7 @@ class DssmAssociation:
         return [_joined(join, "join", "containment") for join in found]
 
     def _end_joins(self) -> list[ObjectsJoined]:
-        """The merge pass at the end of a visit, over all of it: what lines up (what is contained does, too)."""
+        """The merge pass at the end of a visit, over all of it: what lines up (the contained does, too)."""
         config = self._config
         visited, self._visited = self._visited, set()
         if config.join_gap == 0.0:

@@ -7,7 +7,6 @@ lacks at most what was told since the last flush, and what waited in the queue.
 
 from __future__ import annotations
 
-import logging
 import queue
 import threading
 import time
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from dssmsg.errors import ConfigError, DssmsgError
+from dssmsg.errors import StorageError
 from dssmsg.events import ErrorOccurred, Event, RunFinished
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
@@ -29,7 +28,7 @@ class Config(PluginConfig):
     """Options of the Rerun recording."""
 
     images: Literal["jpeg", "lossless"] = Field(
-        default="jpeg", description="colour images: jpeg (small) or png (lossless); depth is always lossless"
+        default="jpeg", description="colour images: jpeg (small) or lossless (PNG); depth is always lossless"
     )
     quality: int = Field(default=80, ge=1, le=95, description="JPEG quality")
     queue_size: int = Field(
@@ -41,8 +40,6 @@ class Config(PluginConfig):
         le=2.0,
         description="wall seconds between two flushes; a crash loses about that much",
     )
-    optimize: bool = Field(default=True, description="compact the file once the run is over")
-    view: bool = Field(default=False, description="open the Rerun viewer and show the run live")
 
 
 class RerunObserver:
@@ -74,32 +71,29 @@ class RerunObserver:
     def _start(self) -> None:
         from dssmsg.recording.writer import RecordingWriter
 
-        sinks = [live_sink(self._log)] if self._config.view else []
         writer = RecordingWriter(
             self._path,
             self._run_id,
             images=self._config.images,
             quality=self._config.quality,
-            extra_sinks=sinks,
         )
         self._thread = threading.Thread(target=self._work, args=(writer,), name="rerun-writer", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Write what is queued, the footer, and compact the file. Raises StorageError if that failed."""
+        """Write what is queued, and compact the file. Raises StorageError if writing failed."""
         if self._closed or self._thread is None:
             return
         self._closed = True
         self._queue.put(None)
         self._thread.join()
         self._raise_failure()
-        if self._config.optimize:
-            from dssmsg.recording.repair import optimize
+        from dssmsg.recording.repair import optimize
 
-            try:
-                optimize(self._path)
-            except DssmsgError as error:  # the recording itself is whole
-                self._log.warning("the recording was not compacted: %s", error)
+        try:
+            optimize(self._path)
+        except StorageError as error:
+            self._log.warning("%s", error)
 
     def outputs(self) -> dict[str, str]:
         """`recording`: the file, once there is one."""
@@ -155,25 +149,6 @@ class RerunObserver:
 
 
 _TICK: Any = object()
-
-
-def live_sink(log: logging.Logger) -> Any:
-    """A sink for a viewer that is started here, listening on this machine alone.
-
-    Raises ConfigError if no viewer can be started.
-    """
-    import rerun as rr
-
-    from dssmsg.recording.viewer import LOOPBACK, Viewer
-
-    try:
-        viewer = Viewer.start([])
-    except DssmsgError as error:
-        raise ConfigError(
-            f"cannot show the run live: {error.message}", key="recording.observers.rerun.view"
-        ) from error
-    log.info("the viewer listens on %s:%d", LOOPBACK, viewer.port)
-    return rr.GrpcSink(f"rerun+http://{LOOPBACK}:{viewer.port}/proxy")
 
 
 @hookimpl

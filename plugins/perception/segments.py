@@ -290,8 +290,8 @@ def _world_points(frame: Frame) -> Float32Array:
     rays = pixel_rays(frame.camera).astype(np.float32)
     pose = frame.world_from_camera.astype(np.float32)
     points = (rays * frame.depth.reshape(-1, 1)) @ pose[:3, :3].T
-    points = (points + pose[:3, 3]).astype(np.float32, copy=False)
-    return points.reshape(*frame.depth.shape, 3)
+    image: Float32Array = (points + pose[:3, 3]).astype(np.float32, copy=False)
+    return image.reshape(*frame.depth.shape, 3)
 
 
 @hookimpl
