@@ -99,7 +99,8 @@ class Frame:
     rgb (H, W, 3) uint8; depth (H, W) float32 metres along the optical axis, **in whole millimetres**,
     0 = no reading; world_from_camera (4, 4) float64; world_from_base (4, 4) float64, the robot's base
     on the floor (for hand-held sequences: below the camera); sim_time seconds.
-    `visit` counts passes through the scene from 0; `at_stop` is True while the robot stands and looks.
+    `visit` counts passes through the scene from 0; `at_stop` is True while the robot stands and looks (for
+    hand-held sequences: always).
     """
 
     index: int

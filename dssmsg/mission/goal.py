@@ -52,8 +52,9 @@ TARGET_GRAPH_SCHEMA: Mapping[str, Any] = {
 _INSTRUCTIONS = (
     "You turn a sentence about a place or an object in a home into a target graph. Nodes are object labels "
     "(singular nouns) with attributes such as colours; edges are spatial relations between two nodes, by "
-    "index; core is the index of the node that the sentence is about. kind is explicit where the sentence names "
-    "the objects, implicit where it only names a purpose: then list the objects that such a place usually has. "
+    "index; core is the index of the node that the sentence is about. kind is explicit where the sentence "
+    "names the objects, implicit where it only names a purpose: then list the objects that such a place "
+    "usually has. "
     "Answer with JSON alone."
 )
 

@@ -20,6 +20,7 @@ from dssmsg.errors import ConfigError, InputError
 from dssmsg.events import (
     EpisodeEnded,
     ErrorOccurred,
+    Logged,
     NavigationChanged,
     PhaseStarted,
     RunFinished,
@@ -126,6 +127,7 @@ class Mission:
         self._frame: Frame | None = None
         self._phase_state = ("", "")
         self._distance = 0.0
+        self._out_of_frames = False
 
     def run(self) -> RunResult:
         """Carry out all phases; the observers are closed and the source released however it ends."""
@@ -225,6 +227,8 @@ class Mission:
                 self._end_visit()
             return
         for phase in phases:
+            if self._is_out_of_frames():
+                break
             if phase == "seek":
                 self._begin("seek", max(self._visit, 0))
                 self._seek()
@@ -312,11 +316,7 @@ class Mission:
 
     def _capture(self, command: Command | None) -> Frame | None:
         """The next frame of the source; None at the end of the visit or of the frame budget."""
-        budget = self._config.mission.max_frames
-        if self._pipeline.tally.frames >= budget:
-            self._skip(
-                "mission", f"mission.max_frames ({budget}) is used up", f"the rest of visit {self._visit}"
-            )
+        if self._is_out_of_frames():
             return None
         name = self._built["source"].registration.id
         with self._pipeline.stage("source"):
@@ -327,6 +327,17 @@ class Mission:
                 check=lambda value: checks.check_frame(value, self._info, self._frame),
             )
         return frame
+
+    def _is_out_of_frames(self) -> bool:
+        """Whether `mission.max_frames` is used up; said once, in the log: it is a wish, not a fault."""
+        budget = self._config.mission.max_frames
+        if self._pipeline.tally.frames < budget:
+            return False
+        if not self._out_of_frames:
+            self._out_of_frames = True
+            message = f"mission.max_frames ({budget}) is used up in visit {self._visit}; the rest is left out"
+            self._bus.tell(Logged(*self._now(), "dssmsg.mission", "WARNING", message))
+        return True
 
     def _take(self, frame: Frame, command: Command | None) -> None:
         if self._frame is not None and self._frame.visit == frame.visit:
@@ -371,6 +382,7 @@ class Mission:
             "episodes": [{"goal": e.goal, "outcome": e.outcome, "reason": e.reason} for e in self._episodes],
             "errors": self._bus.errors,
             "collisions": self._source.collisions(),
+            "out_of_frames": self._out_of_frames,
             "skipped_stops": list(self._skipped_stops),
             "distance_m": round(self._distance, 2),
             "sim_seconds": round(self._frame.sim_time, 3) if self._frame else 0.0,

@@ -272,6 +272,7 @@ class RgbdSource:
             world_from_camera=world_from_camera,
             world_from_base=_base_below(world_from_camera),
             visit=self._visit,
+            at_stop=True,  # a camera carried by hand looks all the time
         )
 
     def collisions(self) -> int:
