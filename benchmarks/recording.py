@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--objects", type=int, default=60)
     parser.add_argument("--profile", action="store_true", help="print where the writer spends its time")
     options = parser.parse_args()
-    run = SyntheticRun(options.frames, objects=options.objects, width=320, height=240)
+    run = SyntheticRun(options.frames, objects=options.objects, width=320, height=240, remember=False)
     profile = None
     if options.profile:
         import cProfile

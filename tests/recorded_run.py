@@ -80,6 +80,7 @@ class SyntheticRun:
         seed: int = 0,
         truth: bool = True,
         run_id: str = "synthetic",
+        remember: bool = True,
     ) -> None:
         self.run_id = run_id
         self.frames = frames
@@ -92,6 +93,7 @@ class SyntheticRun:
             (RADIUS * math.cos(angle), RADIUS * math.sin(angle), 0.4)
             for angle in np.linspace(0.0, 2 * math.pi, objects, endpoint=False)
         ]
+        self.remember = remember
         self.told: list[Change] = []
         self._near: set[tuple[str, str]] = set()
         self._sees: set[tuple[str, str]] = set()
@@ -149,7 +151,8 @@ class SyntheticRun:
         if key:
             yield ev.Detected(index, frame.sim_time, detections, ())
         if applied:
-            self.told += applied
+            if self.remember:
+                self.told += applied
             yield ev.GraphChanged(index, frame.sim_time, applied)
         if index % 15 == 0:
             state = ("drive", "look", "turn")[index // 15 % 3]

@@ -107,7 +107,10 @@ def change_table_view() -> rrb.DataframeView:
             select=[
                 schema.UPDATE,
                 *(
-                    f"{schema.GRAPH_LOG.path}:{schema.GRAPH_LOG.component(column)}"
+                    # Not the "path:component" spelling: these components have a colon of their own.
+                    rrb.components.ComponentColumnSelector(
+                        entity_path=schema.GRAPH_LOG.path, component=schema.GRAPH_LOG.component(column)
+                    )
                     for column in ("kind", "subjects", "scores", "cause")
                 ),
             ],
@@ -143,7 +146,12 @@ def states_view() -> rrb.StateTimelineView:
 
 def log_view() -> rrb.TextLogView:
     """Everything that was logged, without the graph's changes."""
-    return rrb.TextLogView(origin=schema.LOG, name="Log", contents=["+ $origin/**", f"- {schema.LOG}/graph"])
+    return rrb.TextLogView(
+        origin=schema.LOG,
+        name="Log",
+        contents=["+ $origin/**", f"- {schema.LOG}/graph"],
+        columns=rrb.archetypes.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
+    )
 
 
 def review_layout(eye: Eye | None = None) -> rrb.Blueprint:

@@ -27,7 +27,7 @@ class CameraLog:
         self._camera: Any = None
         self._last_spot: FloatArray | None = None
         self._overlaid = False
-        self._truth_objects = ""
+        self._truth_objects: Any = None
 
     @property
     def robot_spot(self) -> FloatArray | None:
@@ -97,10 +97,14 @@ class CameraLog:
 
     def truth(self, event: events.TruthSeen, stamp: Stamp) -> None:
         """A frame's truth; the objects only where they changed."""
-        objects = rows.truth_objects_json(event.truth.objects)
+        objects = tuple(
+            (thing.instance_id, thing.name, thing.state, thing.box_min.tobytes(), thing.box_max.tobytes())
+            for thing in event.truth.objects
+        )
         changed = objects != self._truth_objects
         self._truth_objects = objects
-        self._book.add(schema.TRUTH, stamp, rows.truth_row(event.truth, objects if changed else None))
+        text = rows.truth_objects_json(event.truth.objects) if changed else None
+        self._book.add(schema.TRUTH, stamp, rows.truth_row(event.truth, text))
 
     def detections(self, event: events.Detected, stamp: Stamp) -> None:
         """A key frame's detections: rows for replay, and masks, boxes and names over the image."""

@@ -1,0 +1,1 @@
+"""Models that the project does not ship but can get: catalogue, download, conversion to ONNX, cache."""
