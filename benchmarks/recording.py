@@ -70,8 +70,10 @@ def main() -> None:
         size = path.stat().st_size
     half = len(memory) // 2
     print(f"frames                     {options.frames}")
-    print(f"writer, ms a frame         {1000 * wall / options.frames:.2f} ({1000 * cpu / options.frames:.2f} of its CPU)")
-    print(f"file, kB a frame           {size / options.frames / 1000:.1f} ({raw / options.frames / 1000:.1f} while written)")
+    per_frame = 1000 / options.frames
+    print(f"writer, ms a frame         {wall * per_frame:.2f} ({cpu * per_frame:.2f} of its CPU)")
+    kilobytes = 0.001 / options.frames
+    print(f"file, kB a frame           {size * kilobytes:.1f} ({raw * kilobytes:.1f} while written)")
     print(f"optimizing                 {seconds:.2f} s")
     print(f"memory, MB                 half way {memory[half]:.0f}, end {memory[-1]:.0f}")
     if profile:

@@ -19,7 +19,8 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import rows, schema
 from dssmsg.recording.reader import Recording, newest
 from dssmsg.recording.writer import RecordingWriter
-from dssmsg.review.summary import summarize, summary_text
+from dssmsg.review.summary import summarize
+from dssmsg.review.text import summary_text
 
 FRAMES = 40
 

@@ -67,7 +67,8 @@ def register(app: typer.Typer) -> None:
         """Say what happened in a run: phases, changes, episodes, errors, timings."""
         from dssmsg.cli.output import print_json
         from dssmsg.recording.reader import Recording
-        from dssmsg.review.summary import summarize, summary_text
+        from dssmsg.review.summary import summarize
+        from dssmsg.review.text import summary_text
 
         with Recording.open(chosen(recording)) as opened:
             summary = summarize(opened)

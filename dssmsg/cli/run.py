@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dssmsg.cli.output import note, print_json, stdout_to_stderr
 from dssmsg.config import load_config
 from dssmsg.host import Host
+from dssmsg.review.text import summary_text
 
 if TYPE_CHECKING:
     from dssmsg.events import Event
@@ -79,30 +80,3 @@ def _say_what_is_kept(witness: _Witness, directory: Path) -> None:
     kept = sorted(directory.glob(f"{witness.run_id}*")) if witness.run_id else []
     if kept:
         note(f"kept what was recorded so far: {', '.join(map(str, kept))}")
-
-
-def summary_text(summary: Mapping[str, Any]) -> str:
-    """The summary for a reader, one fact a line."""
-    rows = [
-        ("recording", summary.get("recording") or "none (no observer wrote one)"),
-        ("scene", " ".join(str(part) for part in (summary.get("source"), summary.get("scene")) if part)),
-        *(("", one) for one in summary.get("notes", ())),
-        ("seed", summary["seed"]),
-        ("frames", f"{summary['frames']} ({summary.get('key_frames', 0)} key frames)"),
-        ("objects", f"{summary['objects']} ({summary.get('tentative', 0)} more tentative)"),
-        ("waypoints", f"{summary['waypoints']} with {summary.get('viewpoints', 0)} viewpoints"),
-        ("changes", ", ".join(f"{kind} {count}" for kind, count in summary["changes"].items()) or "none"),
-        *(("episode", _episode(one)) for one in summary["episodes"]),
-        ("errors", summary["errors"]),
-    ]
-    if summary.get("collisions"):
-        rows.append(("collisions", summary["collisions"]))
-    if summary.get("skipped_stops"):
-        rows.append(("skipped", ", ".join(summary["skipped_stops"])))
-    rows.append(("seconds", ", ".join(f"{stage} {secs:.1f}" for stage, secs in summary["seconds"].items())))
-    return "\n".join(f"{name:<11}{value}" for name, value in rows)
-
-
-def _episode(episode: Mapping[str, Any]) -> str:
-    reason = f" ({episode['reason']})" if episode.get("reason") else ""
-    return f"{episode['goal']}: {episode['outcome']}{reason}"

@@ -97,27 +97,6 @@ def change_log_view() -> rrb.TextLogView:
     )
 
 
-def change_table_view() -> rrb.DataframeView:
-    """The graph changes as a table, one row an update."""
-    return rrb.DataframeView(
-        origin=schema.GRAPH_LOG.path,
-        name="Change table",
-        query=rrb.archetypes.DataframeQuery(
-            timeline=schema.UPDATE,
-            select=[
-                schema.UPDATE,
-                *(
-                    # Not the "path:component" spelling: these components have a colon of their own.
-                    rrb.components.ComponentColumnSelector(
-                        entity_path=schema.GRAPH_LOG.path, component=schema.GRAPH_LOG.component(column)
-                    )
-                    for column in ("kind", "subjects", "scores", "cause")
-                ),
-            ],
-        ),
-    )
-
-
 def plots() -> rrb.Tabs:
     """Objects, changes a key frame and wall time a frame."""
 
@@ -164,7 +143,7 @@ def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
                 column_shares=[3, 2],
             ),
             rrb.Horizontal(
-                rrb.Tabs(change_log_view(), change_table_view(), log_view(), name="Log"),
+                rrb.Tabs(change_log_view(), log_view(), name="Log"),
                 plots(),
                 column_shares=[3, 2],
             ),
@@ -187,7 +166,7 @@ def graph_layout(eye: Eye | None = None) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             graph_views(),
-            rrb.Vertical(world_view(eye), rrb.Tabs(change_log_view(), change_table_view())),
+            rrb.Vertical(world_view(eye), change_log_view()),
             column_shares=[3, 2],
         ),
         *_panels(),

@@ -7,7 +7,6 @@ costs the mission next to nothing.
 from __future__ import annotations
 
 import io
-import struct
 import zlib
 from typing import Any, Literal, cast
 
@@ -20,7 +19,6 @@ from dssmsg.frame import ByteArray, Float32Array, IntArray, MaskArray, depth_fro
 Encoding = Literal["jpeg", "lossless"]
 MEDIA_TYPES: dict[Encoding, str] = {"jpeg": "image/jpeg", "lossless": "image/png"}
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _FAST = 1  # zlib level; level 6 is several times slower for little less
 
 
@@ -52,37 +50,21 @@ def decode_depth(data: bytes) -> Float32Array:
 
 
 def encode_png16(values: NDArray[np.uint16]) -> bytes:
-    """A 16-bit grey PNG of an (H, W) image: differences to the left, run lengths and Huffman.
+    """A 16-bit grey PNG of an (H, W) image, with run lengths and Huffman codes alone.
 
-    Noise leaves deflate's search for repetitions nothing to find: without it, this takes a third of the time
-    of the fastest level, and a fifth less space.
+    Noise leaves deflate's search for repetitions nothing to find: without it the file is smaller, and sooner done.
     """
-    height, width = values.shape
-    raw = values.astype(">u2").view(np.uint8).reshape(height, 2 * width)
-    rows = np.empty((height, 1 + 2 * width), dtype=np.uint8)
-    rows[:, 0] = 1  # the first byte of a row names its filter: Sub
-    rows[:, 1:3] = raw[:, :2]
-    np.subtract(raw[:, 2:], raw[:, :-2], out=rows[:, 3:])
-    deflate = zlib.compressobj(_FAST, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)
-    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
-    return b"".join(
-        (
-            _PNG_SIGNATURE,
-            _chunk(b"IHDR", header),
-            _chunk(b"IDAT", deflate.compress(rows.data) + deflate.flush()),
-            _chunk(b"IEND", b""),
-        )
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(values)).save(
+        buffer, "PNG", compress_level=_FAST, compress_type=zlib.Z_RLE
     )
+    return buffer.getvalue()
 
 
 def decode_png16(data: bytes) -> NDArray[np.uint16]:
     """The (H, W) uint16 image of a 16-bit grey PNG."""
     with Image.open(io.BytesIO(data)) as image:
         return np.asarray(image).astype(np.uint16)
-
-
-def _chunk(name: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(body, zlib.crc32(name)))
 
 
 def encode_masks(masks: list[MaskArray]) -> tuple[bytes, tuple[int, int, int]]:

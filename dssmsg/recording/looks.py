@@ -22,6 +22,8 @@ LABELS_UP_TO = 100
 GRAPH_SCALE = 75.0
 """Graph-view units a metre: the graph is drawn as a floor plan seen from above."""
 
+_SPREAD_STEPS = 40
+
 SURFACE_POINTS = 30_000
 """At most this many points show the surfaces of all objects together."""
 
@@ -154,37 +156,51 @@ def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdge
     }
     waypoints = list(graph.waypoints)
     things = [node.id for node in believed]
+    plan = _FloorPlan(graph, waypoints + things)
     return {
-        "map": _graph_look(graph, waypoints + things, kept[PATH] + kept[NEAR]),
-        "all": _graph_look(graph, waypoints + things, kept[PATH] + kept[NEAR] + kept[SEES]),
-        PATH: _graph_look(graph, waypoints, kept[PATH]),
-        SEES: _graph_look(graph, waypoints + things, kept[SEES]),
-        NEAR: _graph_look(graph, things, kept[NEAR]),
+        "map": plan.look(waypoints + things, kept[PATH] + kept[NEAR]),
+        "all": plan.look(waypoints + things, kept[PATH] + kept[NEAR] + kept[SEES]),
+        PATH: plan.look(waypoints, kept[PATH]),
+        SEES: plan.look(waypoints + things, kept[SEES]),
+        NEAR: plan.look(things, kept[NEAR]),
     }
 
 
-def _graph_look(
-    graph: GraphView, ids: Sequence[str], pairs: Sequence[tuple[str, str]]
-) -> list[rr.GraphNodes | rr.GraphEdges]:
-    positions = np.zeros((len(ids), 2), dtype=np.float32)
-    labels: list[str] = []
-    colours: list[palette.Colour] = []
-    by_class = {number: colour for number, _, colour in palette.OBJECT_CLASSES.values()}
-    for row, node_id in enumerate(ids):
-        spot = place(graph, node_id)
-        assert spot is not None  # ids come from the graph itself
-        positions[row] = spot[0] * GRAPH_SCALE, -spot[1] * GRAPH_SCALE  # the view's y axis points down
-        thing = graph.objects.get(node_id)
-        labels.append(node_id.replace("waypoint-", "w") if thing is None else thing.label)
-        colours.append(palette.WAYPOINT_COLOUR if thing is None else by_class[palette.object_class(thing)])
-    if len(ids) <= LABELS_UP_TO:
-        positions = spread_labels(positions, [len(label) for label in labels])
-    return [
-        rr.GraphNodes(
-            ids, positions=positions, labels=labels, colors=colours, show_labels=len(ids) <= LABELS_UP_TO
-        ),
-        rr.GraphEdges(list(pairs), graph_type="undirected"),
-    ]
+class _FloorPlan:
+    """Where nodes stand in the graph views, and how they look: in all views the same."""
+
+    def __init__(self, graph: GraphView, ids: Sequence[str]) -> None:
+        by_class = {number: colour for number, _, colour in palette.OBJECT_CLASSES.values()}
+        self._rows = {node_id: row for row, node_id in enumerate(ids)}
+        self._labels: list[str] = []
+        self._colours: list[palette.Colour] = []
+        positions = np.zeros((len(ids), 2), dtype=np.float32)
+        for row, node_id in enumerate(ids):
+            spot = place(graph, node_id)
+            assert spot is not None  # ids come from the graph itself
+            positions[row] = spot[0] * GRAPH_SCALE, -spot[1] * GRAPH_SCALE  # the view's y axis points down
+            thing = graph.objects.get(node_id)
+            self._labels.append(node_id.replace("waypoint-", "w") if thing is None else thing.label)
+            self._colours.append(
+                palette.WAYPOINT_COLOUR if thing is None else by_class[palette.object_class(thing)]
+            )
+        self._labelled = len(ids) <= LABELS_UP_TO
+        lengths = [len(label) for label in self._labels]
+        self._positions = spread_labels(positions, lengths) if self._labelled else positions
+
+    def look(
+        self, ids: Sequence[str], pairs: Sequence[tuple[str, str]]
+    ) -> list[rr.GraphNodes | rr.GraphEdges]:
+        """Some of the nodes, and edges between them."""
+        rows = [self._rows[node_id] for node_id in ids]
+        nodes = rr.GraphNodes(
+            ids,
+            positions=self._positions[rows],
+            labels=[self._labels[row] for row in rows],
+            colors=[self._colours[row] for row in rows],
+            show_labels=self._labelled,
+        )
+        return [nodes, rr.GraphEdges(list(pairs), graph_type="undirected")]
 
 
 def spread_labels(positions: _Points, lengths: Sequence[int]) -> _Points:
@@ -192,26 +208,26 @@ def spread_labels(positions: _Points, lengths: Sequence[int]) -> _Points:
 
     Deterministic, and small moves where there is room: the floor plan stays recognisable.
     """
-    spots = positions.astype(np.float64)
-    half = np.stack([3.8 * np.array(lengths) + 12.0, np.full(len(lengths), 15.0)], axis=1)
-    reach = half[:, None] + half[None]
+    x, y = positions.astype(np.float64).T.copy()
+    width = 3.8 * np.array(lengths, dtype=np.float64) + 12.0
+    reach_x = width[:, None] + width
+    np.fill_diagonal(reach_x, -1.0)  # nobody is in their own way
+    reach_y = 30.0
     # Where two stand in one spot, their order says who goes which way.
-    order = np.arange(len(spots))
-    tie = np.sign(order[:, None] - order[None])[..., None]
-    for _ in range(40):
-        gap = spots[:, None] - spots[None]
-        overlap = np.clip(reach - np.abs(gap), 0.0, None)
-        overlap[order, order] = 0.0
-        hit = (overlap > 0).all(axis=2)
+    order = np.arange(len(x))
+    tie = np.sign(order[:, None] - order)
+    for _ in range(_SPREAD_STEPS):
+        gap_x, gap_y = x[:, None] - x, y[:, None] - y
+        overlap_x, overlap_y = reach_x - np.abs(gap_x), reach_y - np.abs(gap_y)
+        hit = (overlap_x > 0) & (overlap_y > 0)
         if not hit.any():
             break
-        # Along the axis where less is needed; each of the two goes half the way.
-        axis = (overlap[..., 1] < overlap[..., 0]).astype(int)
-        way = np.where(gap == 0, tie, np.sign(gap))
-        push = np.take_along_axis(0.5 * overlap * way, axis[..., None], axis=2)[..., 0] * hit
-        spots[:, 0] += 0.6 * (push * (axis == 0)).sum(axis=1)
-        spots[:, 1] += 0.6 * (push * (axis == 1)).sum(axis=1)
-    return spots.astype(np.float32)
+        # Along the axis where less is needed; each of the two goes a part of the way.
+        sideways = hit & (overlap_x < overlap_y)
+        upright = hit & ~sideways
+        x += 0.3 * np.where(sideways, overlap_x * np.where(gap_x == 0, tie, np.sign(gap_x)), 0.0).sum(axis=1)
+        y += 0.3 * np.where(upright, overlap_y * np.where(gap_y == 0, tie, np.sign(gap_y)), 0.0).sum(axis=1)
+    return np.stack([x, y], axis=1).astype(np.float32)
 
 
 def surface_look(graph: GraphView) -> rr.Points3D:

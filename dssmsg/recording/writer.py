@@ -141,7 +141,7 @@ class RecordingWriter:
         }
         # Two layouts in one file would compete, so this one knows what is known before the first frame.
         stops = [(stop.x, stop.y, 0.0) for tour in source.tours for stop in tour]
-        self._stream.send_blueprint(review_layout(eye_over(stops, margin=3.0)))
+        self._stream.send_blueprint(review_layout(eye_over(stops, margin=3.6)))
         self._stream.send_recording_name(event.run_id)
         self._stream.send_property(
             schema.RUN_PROPERTY,

@@ -1,0 +1,267 @@
+"""What the viewer is shown: looks, layouts, descriptions; and the commands that read recordings."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded_run import SyntheticRun, record
+from rerun.chunk import RrdReader
+
+from dssmsg.cli import main
+from dssmsg.errors import ConfigError
+from dssmsg.graph.codec import graph_from_json
+from dssmsg.graph.compare import same
+from dssmsg.graph.nodes import NEAR, PATH, SEES
+from dssmsg.recording import blueprint, describe, looks, palette, schema
+from dssmsg.recording.reader import Recording
+from dssmsg.recording.scene_log import SceneLog
+
+
+@pytest.fixture(scope="module")
+def run() -> SyntheticRun:
+    return SyntheticRun(40)
+
+
+@pytest.fixture(scope="module")
+def path(run: SyntheticRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(run, tmp_path_factory.mktemp("views") / "run.rrd")
+
+
+def test_every_entity_of_the_layouts_is_filled(path: Path) -> None:
+    paths = {chunk.entity_path for chunk in RrdReader(path).stream()}
+    shown = {
+        schema.RGB, schema.DEPTH, schema.SEGMENTATION, schema.BOXES, schema.NAMES, schema.OBJECTS,
+        schema.LABELS, schema.WAYPOINTS, schema.VIEWPOINTS, schema.SURFACE, schema.TRAIL, schema.ROBOT,
+        schema.PHASE_STATE, schema.NAV_STATE, f"{schema.LOG}/graph", f"{schema.LOG}/run",
+        *(f"{schema.EDGES}/{kind}" for kind in palette.EDGE_COLOURS),
+        *(f"{schema.GRAPH}/{name}" for name in ("map", "all", PATH, SEES, NEAR)),
+        f"{schema.PLOTS}/objects/believed", f"{schema.PLOTS}/changes/merges",
+        f"{schema.PLOTS}/timings/source",
+    }  # fmt: skip
+    assert shown <= paths
+    assert len(RrdReader(path).blueprints()) == 1  # the layout travels inside
+
+
+def test_an_edge_finds_its_nodes_in_its_own_entity(run: SyntheticRun) -> None:
+    for name, (nodes, edges) in looks.graph_looks(run.live).items():
+        ids = set(nodes.node_ids.as_arrow_array().to_pylist())
+        pairs = edges.edges.as_arrow_array().to_pylist()
+        assert ids, name
+        assert pairs, name
+        assert all(pair["first"] in ids and pair["second"] in ids for pair in pairs), name
+
+
+def test_boxes_are_those_of_the_graph(run: SyntheticRun) -> None:
+    look = looks.objects_look(run.live)
+    centers = np.array(look.centers.as_arrow_array().to_pylist())
+    nodes = list(run.live.objects.values())
+    assert np.allclose(centers, [node.center for node in nodes], atol=1e-5)
+    classes = look.class_ids.as_arrow_array().to_pylist()
+    for node, number in zip(nodes, classes, strict=True):
+        assert (number == palette.TENTATIVE_CLASS) == (node.status == "tentative")
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(-200, 200), st.integers(-200, 200), st.integers(1, 14)), min_size=1, max_size=25
+    )
+)
+@settings(max_examples=60, deadline=None)
+def test_labels_are_spread_deterministically(labels: list[tuple[int, int, int]]) -> None:
+    spots = np.array([label[:2] for label in labels], dtype=np.float32)
+    lengths = [label[2] for label in labels]
+    spread = looks.spread_labels(spots, lengths)
+    assert spread.shape == spots.shape
+    assert np.isfinite(spread).all()
+    assert np.array_equal(spread, looks.spread_labels(spots, lengths))
+
+
+def test_labels_in_one_spot_come_apart_and_lone_ones_stay() -> None:
+    spots = np.array([[0, 0], [0, 0], [5, 3], [900, 0]], dtype=np.float32)
+    spread = looks.spread_labels(spots, [5, 5, 5, 5])
+    assert np.array_equal(spread[3], spots[3])
+    for first in range(3):
+        for second in range(first):
+            gap = np.abs(spread[first] - spread[second])
+            assert gap[0] > 55 or gap[1] > 25
+
+
+def test_the_scene_is_sent_only_where_it_changed(run: SyntheticRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = rr.RecordingStream("dssmsg_test")
+    sent: list[str] = []
+    scene = SceneLog(stream)
+    monkeypatch.setattr(scene, "_send", lambda path, *parts, **options: sent.append(path))
+    assert scene.update(run.live, 0, 0.0) is False
+    assert schema.OBJECTS in sent
+    assert f"{schema.GRAPH}/all" in sent
+    first = len(sent)
+    assert scene.update(run.live, 1, 0.2) is True  # the slow part waits for its second
+    assert scene.update(run.live, 9, 1.8) is False
+    assert len(sent) == first
+
+
+def test_lines_say_what_and_by_which_numbers(run: SyntheticRun) -> None:
+    lines = [describe.change_line(change) for change in run.told]
+    merged = next(line for line in lines if "merged" in line)
+    assert "s 1.75 (>= 1.1)" in merged
+    assert "[association/dssm: merge]" in merged
+    assert any("status: tentative -> believed" in line for line in lines)
+    assert any("-near-" in line and "next to" in line for line in lines)
+    assert all(change.subjects[0] in line for change, line in zip(run.told, lines, strict=True))
+
+
+def test_layouts_look_at_the_map_or_at_a_node(run: SyntheticRun, tmp_path: Path) -> None:
+    for name in blueprint.LAYOUTS:
+        blueprint.save_layout(tmp_path / f"{name}.rbl", name, run.live, "object-2")
+        assert (tmp_path / f"{name}.rbl").stat().st_size > 1000
+    eye = blueprint.eye_on(run.live, "object-2")
+    assert eye is not None
+    assert np.allclose(eye.target, run.live.objects["object-2"].center)
+    whole = blueprint.eye_on(run.live)
+    assert whole is not None
+    assert whole.position[2] > eye.position[2]
+    with pytest.raises(ConfigError, match="no node 'object-999'"):
+        blueprint.eye_on(run.live, "object-999")
+    with pytest.raises(ConfigError, match="review, scene, graph"):
+        blueprint.save_layout(tmp_path / "x.rbl", "x", run.live, None)
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
+    code = main([str(argument) for argument in arguments])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def test_inspect_prints_one_object(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, "inspect", path, "--json")
+    summary = json.loads(out)
+    assert code == 0
+    assert summary["frames"] == 40
+    assert summary["schema_version"] == 1
+    assert {"recording", "seed", "objects", "waypoints", "changes", "episodes", "errors", "seconds"} <= set(
+        summary
+    )
+    code, out, _ = call(capsys, "inspect", path)
+    assert code == 0
+    assert "40 (14 key frames)" in out
+
+
+def test_export_writes_the_graph_of_a_time_and_overwrites_nothing(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "graph.json"
+    assert call(capsys, "export", path, "--at", "frame=12", "-o", target)[0] == 0
+    with Recording.open(path) as recording:
+        assert same(graph_from_json(json.loads(target.read_text())), recording.graph_at(12))
+    before = target.read_bytes()
+    code, _, err = call(capsys, "export", path, "-o", target)
+    assert code == 2
+    assert "--force" in err
+    assert target.read_bytes() == before
+    assert call(capsys, "export", path, "-o", target, "--force")[0] == 0
+    assert target.read_bytes() != before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["graph.json"]
+
+
+@pytest.mark.parametrize(
+    ("at", "words"),
+    [
+        ("frame=400", "its frames are 0 to 39"),
+        ("time=-3", "no frame at or before"),
+        ("soon", "frame=N"),
+        ("x=3", "frame=N"),
+    ],
+)
+def test_a_wrong_time_is_said(path: Path, capsys: pytest.CaptureFixture[str], at: str, words: str) -> None:
+    code, out, err = call(capsys, "export", path, "--at", at)
+    assert code == 2
+    assert words in err
+    assert out == ""
+
+
+def test_the_newest_is_taken_and_said(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(capsys, "inspect")
+    assert code == 2
+    assert "dssmsg run" in err
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings" / "mine.rrd").write_bytes(path.read_bytes())
+    code, _, err = call(capsys, "inspect")
+    assert code == 0
+    assert "mine.rrd" in err
+
+
+def test_view_opens_the_recording_with_a_layout(
+    path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from dssmsg.recording import viewer
+
+    opened: list[Any] = []
+
+    class Window:
+        @classmethod
+        def start(cls, files: list[Path]) -> Window:
+            opened.extend(file.name for file in files)
+            assert all(file.exists() for file in files)
+            return cls()
+
+        def set_frame(self, frame: int) -> None:
+            opened.append(frame)
+
+        def wait(self) -> int:
+            return 0
+
+        def stop(self) -> None:
+            opened.append("stopped")
+
+    monkeypatch.setattr(viewer, "Viewer", Window)
+    code, _, _ = call(capsys, "view", path, "--at", "update=3", "--focus", "object-1")
+    assert code == 0
+    assert opened == ["run.rrd", "layout.rbl", 0, "stopped"]
+    code, _, err = call(capsys, "view", path, "--focus", "object-999")
+    assert code == 2
+    assert "object-999" in err
+
+
+def test_a_viewer_that_cannot_start_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dssmsg.recording import viewer
+
+    monkeypatch.setattr(viewer, "rerun_program", lambda: Path("/bin/false"))
+    with pytest.raises(viewer.ViewerError, match="--web"):
+        viewer.Viewer.start([])
+    monkeypatch.setattr(viewer, "rerun_program", lambda: Path("/nowhere/rerun"))
+    with pytest.raises(viewer.ViewerError, match="cannot be started"):
+        viewer.Viewer.start([])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the kernel's table of sockets")
+def test_the_web_page_is_served_on_this_machine_alone(path: Path) -> None:
+    import urllib.parse
+    import urllib.request
+
+    from dssmsg.recording.viewer import Viewer
+
+    viewer, address = Viewer.serve([path])
+    try:
+        assert address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(address, timeout=10) as page:
+            assert b"<html" in page.read(4000).lower()
+        ports = {urllib.parse.urlsplit(address).port, viewer.port}
+        table = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+        listening = [row[1].split(":") for row in table if row[3] == "0A"]
+        hosts = [host for host, port in listening if int(port, 16) in ports]
+        assert len(hosts) == 2
+        assert set(hosts) == {"0100007F"}  # 127.0.0.1
+    finally:
+        viewer.stop()
+    assert viewer.process.poll() is not None
