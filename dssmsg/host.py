@@ -200,6 +200,8 @@ class Host:
         except DssmsgError as error:
             if error.key is None:
                 error.key = key
+            elif error.key.startswith("."):  # an option of this plug-in, which cannot know its own place
+                error.key = key + error.key
             raise
         except ModuleNotFoundError as error:
             raise PluginError(

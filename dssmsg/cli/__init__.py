@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from dssmsg import __version__
-from dssmsg.cli import recordings
+from dssmsg.cli import evaluate, models, recordings
 
 # Plain help: rich would take as long to import as everything else together.
 app = typer.Typer(
@@ -147,6 +147,8 @@ def doctor(
 
 
 recordings.register(app)
+models.register(app)
+evaluate.register(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

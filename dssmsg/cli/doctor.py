@@ -19,6 +19,7 @@ from dssmsg.config import RunConfig, load_config
 from dssmsg.contexts import ContextFactory
 from dssmsg.errors import DssmsgError
 from dssmsg.host import Host
+from dssmsg.slot_problems import slot_problems
 
 PACKAGES = (
     "rerun-sdk",
@@ -87,8 +88,10 @@ def _examine(path: Path | None) -> Iterator[Finding]:
         yield Finding("config", "fail", str(error))
         return
     yield from _plugins(host)
-    yield _configuration(config, host)
-    yield _encoder(config, host)
+    configured = _configuration(config, host)
+    yield configured
+    if configured.status != "fail":
+        yield from _models(config, host)
     yield from _recordings(Path(config.recording.directory))
 
 
@@ -182,17 +185,26 @@ def _configuration(config: RunConfig, host: Host) -> Finding:
     return Finding("config", "ok", str(config.file or "the packaged default"))
 
 
-def _encoder(config: RunConfig, host: Host) -> Finding:
-    """Built and asked, which reads its model files and checks their hashes."""
+def _models(config: RunConfig, host: Host) -> Iterator[Finding]:
+    """The encoder, built and asked, which reads its files and checks their hashes; then all other files."""
+    encoder = None
     try:
         with stdout_to_stderr():
-            encoder = host.build("encoder", config.encoder, _contexts(config, host)).plugin
+            slot, contexts = config.encoder, _contexts(config, host)
+            encoder = host.build("encoder", slot, contexts, base_dir=config.base_dir).plugin
             encoder.encode_labels(["chair"])
     except DssmsgError as error:
-        return Finding("models", "fail", str(error))
+        yield Finding("models", "fail", str(error))
     except Exception as error:
-        return Finding("models", "fail", f"encoder {config.encoder.use}: {type(error).__name__}: {error}")
-    return Finding("models", "ok", f"encoder {config.encoder.use}: {encoder.space}")
+        yield Finding("models", "fail", f"encoder {config.encoder.use}: {type(error).__name__}: {error}")
+    else:
+        yield Finding("models", "ok", f"encoder {config.encoder.use}: {encoder.space}")
+    with stdout_to_stderr():
+        problems = list(slot_problems(host, config, encoder))
+    for problem in problems:
+        # The encoder has been built above, which says the same.
+        if not problem.startswith("encoder."):
+            yield Finding("models", "fail", problem)
 
 
 def _recordings(directory: Path) -> Iterator[Finding]:

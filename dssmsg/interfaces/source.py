@@ -83,7 +83,7 @@ class Source(Protocol):
         ...
 
     def step(self, command: Command | None) -> Frame | None:
-        """Carry out `command` for one camera period and return the frame at its end; None at the visit's end."""
+        """Carry out `command` for one camera period; the frame at its end, None when the visit is over."""
         ...
 
     def collisions(self) -> int:

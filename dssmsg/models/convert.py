@@ -1,9 +1,9 @@
 """TensorFlow.js graph -> ONNX graph, for convolutional detectors with shapes that are known beforehand.
 
-TensorFlow convolves with channels last, ONNX with channels first, and graphs that were translated once already
-are full of transposes. So a TensorFlow tensor is held here as an ONNX tensor *and the order of its axes*:
-a transpose only changes that order, and one is written only where an operation needs another order than the
-tensor has. What can be computed from constants alone is computed now.
+TensorFlow convolves with channels last, ONNX with channels first, and graphs that were translated once
+already are full of transposes. So a TensorFlow tensor is held here as an ONNX tensor *and the order of its
+axes*: a transpose only changes that order, and one is written only where an operation needs another order
+than the tensor has. What can be computed from constants alone is computed now.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dssmsg.errors import InputError
-from dssmsg.models.onnx_file import OnnxGraph, Tensor
+from dssmsg.models.onnx_file import OnnxGraph
 from dssmsg.models.tfjs import TfGraph, TfNode
 
 NHWC_OF_NCHW = (0, 2, 3, 1)
@@ -38,10 +38,6 @@ class _Held:
     @classmethod
     def plain(cls, name: str, shape: Shape) -> _Held:
         return cls(name, shape, tuple(range(len(shape))))
-
-    def held_shape(self) -> Shape:
-        """The shape of the ONNX tensor."""
-        return tuple(self.shape[self.order.index(axis)] for axis in range(len(self.shape)))
 
 
 _Value = _Held | NDArray[Any]
@@ -96,7 +92,9 @@ class _Converter:
     def run(self) -> OnnxGraph:
         for tensor, name in self._outputs.items():
             if _node_of(tensor) not in self._nodes:
-                raise InputError(f"expected an output {tensor} ({name}); it has {', '.join(self._tf.outputs)}")
+                raise InputError(
+                    f"expected an output {tensor} ({name}); it has {', '.join(self._tf.outputs)}"
+                )
         for node in self._needed():
             rule = self._rules.get(node.op)
             if rule is None:
@@ -154,8 +152,8 @@ class _Converter:
 
     def _store(self, name: str, value: NDArray[Any]) -> str:
         """A constant of the ONNX graph, float32 or int64."""
-        stored: Tensor = value.astype(np.float32 if value.dtype.kind == "f" else np.int64)
-        self._onnx.constants[name] = stored
+        floats = value.dtype.kind == "f"
+        self._onnx.constants[name] = value.astype(np.float32) if floats else value.astype(np.int64)
         return name
 
     def _in_order(self, value: _Held, order: Order) -> str:
@@ -228,9 +226,7 @@ class _Converter:
             self._values[node.name] = a + b
             return
         if isinstance(a, np.ndarray):
-            a, b = b, a
-        if isinstance(a, np.ndarray):
-            raise ValueError("expected a computed tensor")  # unreachable; says so to the type checker
+            a, b = self._held(node.inputs[1]), a
         if isinstance(b, np.ndarray):
             rank = len(a.shape)
             spread = b.reshape((1,) * (rank - b.ndim) + b.shape)
@@ -303,8 +299,9 @@ class _Converter:
         value, size = self._held(node.inputs[0]), self._integers(node.inputs[1])
         if node.flag("align_corners") or not node.flag("half_pixel_centers"):
             raise ValueError("expected half-pixel centres")
-        target = _Held("", (value.shape[0], *size, value.shape[3]), NHWC_OF_NCHW)
-        sizes = self._store(f"{node.name}/sizes", np.array(target.held_shape()))
+        rows, columns = size
+        batch, channels = value.shape[0], value.shape[3]
+        sizes = self._store(f"{node.name}/sizes", np.array([batch, channels, rows, columns]))
         self._onnx.add(
             "Resize",
             [self._in_order(value, NHWC_OF_NCHW), "", "", sizes],
@@ -312,7 +309,7 @@ class _Converter:
             mode="linear",
             coordinate_transformation_mode="half_pixel",
         )
-        self._values[node.name] = _Held(node.name, target.shape, NHWC_OF_NCHW)
+        self._values[node.name] = _Held(node.name, (batch, rows, columns, channels), NHWC_OF_NCHW)
 
     def _sparse_to_dense(self, node: TfNode) -> None:
         indices, shape, values, default = (self._constant(one) for one in node.inputs)
@@ -350,8 +347,7 @@ def _inner(node: TfNode, key: str) -> tuple[int, int]:
 def _slid(shape: Shape, reach: Sequence[int], strides: Sequence[int], channels: int) -> Shape:
     """The shape after a window of `reach` (rows, columns) slid over a channels-last tensor."""
     rows, columns = (
-        (size - window) // step + 1
-        for size, window, step in zip(shape[1:3], reach, strides, strict=True)
+        (size - window) // step + 1 for size, window, step in zip(shape[1:3], reach, strides, strict=True)
     )
     if rows < 1 or columns < 1:
         raise ValueError(f"a window of {list(reach)} does not fit into {shape}")

@@ -109,7 +109,7 @@ def _weights(entries: list[Mapping[str, Any]], data: bytes, name: str) -> dict[s
         quantised = entry.get("quantization")
         stored = dtype if quantised is None else _STORED.get(quantised["dtype"])
         if dtype is None or stored is None:
-            kind = entry["dtype"] if dtype is None else f"{entry['dtype']} stored as {quantised['dtype']}"
+            kind = entry["dtype"] if quantised is None else f"{entry['dtype']} as {quantised['dtype']}"
             raise InputError(
                 f"weight {entry['name']}: expected {', '.join(_DTYPES)}, or float32 stored as float16, "
                 f"got {kind}",

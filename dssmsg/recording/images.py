@@ -52,7 +52,8 @@ def decode_depth(data: bytes) -> Float32Array:
 def encode_png16(values: NDArray[np.uint16]) -> bytes:
     """A 16-bit grey PNG of an (H, W) image, with run lengths and Huffman codes alone.
 
-    Noise leaves deflate's search for repetitions nothing to find: without it the file is smaller and sooner done.
+    Noise leaves deflate's search for repetitions nothing to find: without it the file is
+    smaller, and sooner done.
     """
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(values)).save(

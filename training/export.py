@@ -1,0 +1,138 @@
+"""Stage `export`: checkpoints to ONNX, the calibration of the scores, and the card that names it all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from dssmsg.evaluate.perception import MIN_IOU, mask_iou, visible
+from dssmsg.recogniser.contract import CROP_EXTRA, CROP_FACTS, CROP_SIDE
+from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS
+from dssmsg.recogniser.networks import CARD, softmax
+from dssmsg.recogniser.recogniser import Recogniser
+from dssmsg.recogniser.shelf import Shelf, all_labels
+from dssmsg.recogniser.views import View, home_views, room_views
+from dssmsg.sim.furniture import FurnitureLibrary
+from training.nets import CropNet, MaskNet
+
+CALIBRATION_SEEDS = range(90_000, 90_012)
+"""Rooms of the training range that no other stage renders."""
+
+
+def export(masks: Path, crops: Path, folder: Path) -> None:
+    """Write `masks.onnx`, `crops.onnx` and a card without calibration into `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mask_net = MaskNet(len(all_labels()), GEOMETRY_CHANNELS)
+    mask_net.load_state_dict(torch.load(masks, weights_only=True)["net"])
+    _to_onnx(
+        mask_net, (torch.zeros(1, 3, 240, 320), torch.zeros(1, GEOMETRY_CHANNELS, 120, 160)),
+        folder / "masks.onnx", ["rgb", "geometry"], ["dense", "classes"],
+        {"rgb": {2: "H", 3: "W"}, "geometry": {2: "h", 3: "w"}},
+    )  # fmt: skip
+    crop_net = CropNet(len(all_labels()), CROP_EXTRA, CROP_FACTS)
+    crop_net.load_state_dict(torch.load(crops, weights_only=True)["net"])
+    _to_onnx(
+        crop_net, (torch.zeros(2, 3 + CROP_EXTRA, CROP_SIDE, CROP_SIDE), torch.zeros(2, CROP_FACTS)),
+        folder / "crops.onnx", ["crops", "facts"], ["vectors", "logits"],
+        {name: {0: "N"} for name in ("crops", "facts", "vectors", "logits")},
+    )  # fmt: skip
+    write_card(folder, 1.0, 0.5, (1.0, 1.0, 0.0, 0.0, 0.0))
+
+
+def _to_onnx(
+    net: nn.Module,
+    example: tuple[Tensor, ...],
+    path: Path,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    axes: dict[str, dict[int, str]],
+) -> None:
+    net.eval()
+    torch.onnx.export(
+        net, example, str(path), input_names=list(inputs), output_names=list(outputs), dynamic_axes=axes,
+        opset_version=17, dynamo=False,
+    )  # fmt: skip
+
+
+def write_card(folder: Path, temperature: float, context: float, quality: Sequence[float]) -> None:
+    """The card beside the networks: labels, sums, calibration."""
+    sums = {
+        name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
+        for name in ("masks.onnx", "crops.onnx")
+    }
+    card = {
+        "labels": list(all_labels()), "sha256": sums, "temperature": round(temperature, 4),
+        "context": round(context, 4), "quality": [round(float(value), 5) for value in quality],
+    }  # fmt: skip
+    (folder / CARD).write_text(json.dumps(card, indent=1) + "\n", "utf-8")
+
+
+def calibrate(folder: Path, views_a_seed: int = 12) -> None:
+    """Fit temperature, context weight and the score's logistic on CALIBRATION_SEEDS; rewrite the card."""
+    views = list(_calibration_views(views_a_seed))
+    temperature, context = _fit_labels(folder, views)
+    write_card(folder, temperature, context, (1.0, 1.0, 0.0, 0.0, 0.0))
+    recogniser = Recogniser(folder, max_things=30)
+    rows, right = [], []
+    for view in views:
+        counted = visible(view)
+        for seen in recogniser.see(view.frame):
+            number = int(np.argmax(np.bincount(view.instance_ids[seen.mask])))
+            found = number > 0 and mask_iou(seen.mask, view.instance_ids == number) >= MIN_IOU
+            if found and number not in counted:
+                continue
+            label = recogniser.labels[int(np.argmax(seen.probabilities[:-1]))]
+            rows.append(seen.evidence)
+            right.append(found and label == view.things[number][0])
+    quality = logistic(np.array(rows), np.array(right, np.float64))
+    write_card(folder, temperature, context, quality)
+    print(f"temperature {temperature:.2f}, context {context:.2f}, right {np.mean(right):.3f} of {len(right)}")
+
+
+def _calibration_views(count: int) -> list[View]:
+    shelf, library = Shelf("real"), FurnitureLibrary.open("real")
+    views: list[View] = []
+    for seed in CALIBRATION_SEEDS:
+        views += home_views(library, seed, count) if seed % 2 else room_views(shelf, seed, count)
+    return views
+
+
+def _fit_labels(folder: Path, views: Sequence[View]) -> tuple[float, float]:
+    """(temperature, context) with the least negative log-likelihood of true labels on true masks."""
+    recogniser = Recogniser(folder)
+    logits, contexts, truth = [], [], []
+    for view in views:
+        counted = visible(view)
+        if counted:
+            _, logit, context = recogniser.opinions(view.frame, [view.instance_ids == n for n in counted])
+            logits.append(logit)
+            contexts.append(context)
+            truth += [recogniser.labels.index(view.things[number][0]) for number in counted]
+    logit, context = np.concatenate(logits), np.log(np.concatenate(contexts) + 1e-6)
+    best = (np.inf, 1.0, 0.0)
+    for weight in (0.0, 0.15, 0.3, 0.5, 0.75, 1.0):
+        for temperature in (0.5, 0.7, 0.85, 1.0, 1.2, 1.5):
+            crop = np.log(softmax(logit, temperature) + 1e-6)
+            joint = softmax((crop + np.float32(weight) * context).astype(np.float32))
+            cost = -float(np.log(joint[np.arange(len(truth)), truth] + 1e-6).mean())
+            best = min(best, (cost, temperature, weight))
+    return best[1], best[2]
+
+
+def logistic(rows: NDArray[np.float32], right: NDArray[np.float64], steps: int = 50) -> NDArray[np.float64]:
+    """Weights of a logistic regression with a little ridge, by Newton's method."""
+    x = rows.astype(np.float64)
+    weight = np.zeros(x.shape[1])
+    for _ in range(steps):
+        p = 1 / (1 + np.exp(-np.clip(x @ weight, -30, 30)))
+        slope = x.T @ (p - right) + 1.0 * weight
+        bend = (x * (p * (1 - p))[:, None]).T @ x + 1.0 * np.eye(x.shape[1])
+        weight -= np.linalg.solve(bend, slope)
+    return weight

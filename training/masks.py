@@ -1,0 +1,93 @@
+"""Stage `masks`: trains the dense network; checkpoints, so that it can be stopped and resumed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS
+from dssmsg.recogniser.shelf import all_labels
+from training.nets import MaskNet
+from training.samples import Views
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How long and how fast to learn."""
+
+    steps: int = 1100
+    batch: int = 8
+    rate: float = 2e-3
+    seed: int = 0
+    save_every: int = 100
+
+
+def loss(dense: Tensor, classes: Tensor, target: list[Tensor], nothing: int) -> tuple[Tensor, list[float]]:
+    """The weighted sum of the five losses, and each of them."""
+    thing, heat, border, offset, weight, label = target
+    bce = functional.binary_cross_entropy_with_logits
+    parts = [
+        bce(dense[:, 0], thing),
+        60 * ((torch.sigmoid(dense[:, 1]) - heat).square() * (0.3 + heat)).mean(),
+        2 * ((dense[:, 2:4] - offset).abs().sum(1) * weight).sum() / weight.sum().clamp(min=1),
+        0.5 * bce(dense[:, 4], border, pos_weight=torch.tensor(3.0)),
+        0.5 * functional.cross_entropy(classes, torch.where(label < 0, nothing, label).long()),
+    ]
+    return torch.stack(parts).sum(), [float(part.detach()) for part in parts]
+
+
+def train(folder: Path, out: Path, plan: Plan) -> None:
+    """Train to `out` (a checkpoint), going on from it where it is there. Prints a line every 20 steps."""
+    views = Views(folder)
+    torch.manual_seed(plan.seed)
+    nothing = len(all_labels())
+    net = MaskNet(nothing, GEOMETRY_CHANNELS)
+    net.backbone.load_imagenet()
+    net.to(memory_format=torch.channels_last)
+    pretrained = list(net.backbone.parameters())
+    known = {id(parameter) for parameter in pretrained}
+    fresh = [parameter for parameter in net.parameters() if id(parameter) not in known]
+    optimiser = torch.optim.AdamW(
+        [{"params": fresh, "lr": plan.rate}, {"params": pretrained, "lr": plan.rate / 3}], weight_decay=0.01
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, [plan.rate, plan.rate / 3], total_steps=plan.steps, pct_start=0.1
+    )
+    start = 0
+    if out.exists():
+        saved = torch.load(out, weights_only=True)
+        net.load_state_dict(saved["net"])
+        optimiser.load_state_dict(saved["optimiser"])
+        schedule.load_state_dict(saved["schedule"])
+        start = saved["step"]
+    net.train()
+    began, sums = time.time(), np.zeros(5)
+    for step in range(start, plan.steps):
+        rng = np.random.default_rng([plan.seed, step])
+        samples = [views.sample(int(i), rng) for i in rng.choice(len(views), plan.batch, replace=False)]
+        image, geometry, *target = (torch.from_numpy(np.stack(part)) for part in zip(*samples, strict=True))
+        dense, classes = net(
+            *(part.contiguous(memory_format=torch.channels_last) for part in (image, geometry))
+        )
+        total, parts = loss(dense, classes, target, nothing)
+        optimiser.zero_grad()
+        total.backward()
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 5.0)
+        optimiser.step()
+        schedule.step()
+        sums += parts
+        if (step + 1) % 20 == 0:
+            text = " ".join(f"{value:.3f}" for value in sums / 20)
+            print(f"{step + 1} {text} {(time.time() - began) / (step + 1 - start):.2f} s/step", flush=True)
+            sums[:] = 0
+        if (step + 1) % plan.save_every == 0 or step + 1 == plan.steps:
+            torch.save(
+                {"net": net.state_dict(), "optimiser": optimiser.state_dict(),
+                 "schedule": schedule.state_dict(), "step": step + 1}, out,
+            )  # fmt: skip
