@@ -189,7 +189,9 @@ def yolo_text(path: Path, *, size=(96, 96), texts=4, dimension=8, logits=False, 
     _masks, boxes, seen = graph.colour_boxes(image, size)
     axes = np.zeros((1, dimension, 3), np.float32)
     axes[0, :3] = np.diag(SCORES)
-    row = graph.add("Transpose", seen, perm=[0, 2, 1])
+    # An empty text spoils everything, as it would the attention of the real head.
+    full = graph.add("Sign", graph.add("ReduceMin", graph.add("ReduceL2", text, axes=[2]), keepdims=0))
+    row = graph.add("Mul", graph.add("Transpose", seen, perm=[0, 2, 1]), full)
     scores = graph.add("Mul", graph.add("MatMul", text, axes), row)
     scores = graph.logit(scores) if logits else graph.add("Clip", scores, np.float32(0.0), np.float32(1.0))
     table = graph.add("Concat", graph.centred(boxes), scores, axis=1)

@@ -219,7 +219,7 @@ def test_a_model_that_is_missing_or_another_one_is_refused(tmp_path, monkeypatch
     with pytest.raises(InputError, match="get it once with: dssmsg models get coco"):
         coco.CocoDetector(coco.Config())
     (tmp_path / "mine.onnx").write_bytes(b"not it")
-    with pytest.raises(InputError, match=r"mine.onnx: is not the model coco"):
+    with pytest.raises(InputError, match=r"mine.onnx: .model: is not the model coco"):
         coco.CocoDetector(coco.Config(model="mine.onnx"), tmp_path)
 
 

@@ -64,6 +64,17 @@ def test_words_and_pictures_meet(files, text, vision):
     assert np.diag(likeness).min() > likeness[~np.eye(3, dtype=bool)].max() + 0.5
 
 
+def test_colours_are_normalised_as_clip_was_trained(files):
+    """The tiny tower keeps what lies above CLIP's mean colour, so the answer can be worked out."""
+    colour = np.array([200, 150, 110], np.uint8)
+    (vector,) = encoder(files).encode_crops([np.tile(colour, (20, 20, 1))])
+    expected = np.full(8, 0.0)
+    mean, std = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
+    expected[:3] = np.maximum((colour / 255 - mean) / std, 0)
+    expected[7] = 0.01
+    np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-3)
+
+
 def test_the_whole_crop_counts_not_its_middle(files):
     """A sofa is longer than high: cutting a square from its middle would lose its ends."""
     long = np.concatenate([crop("red", (20, 50)), crop("blue", (20, 100)), crop("red", (20, 50))], axis=1)

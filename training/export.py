@@ -14,8 +14,9 @@ from torch import Tensor, nn
 
 from dssmsg.evaluate.perception import MIN_IOU, mask_iou, visible
 from dssmsg.recogniser.contract import CROP_EXTRA, CROP_FACTS, CROP_SIDE
-from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS
-from dssmsg.recogniser.networks import CARD, softmax
+from dssmsg.recogniser.grouping import GroupingRule, vote
+from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS, geometry_channels, half_geometry, normalised_rgb
+from dssmsg.recogniser.networks import CARD, MaskNetwork, read_card, softmax
 from dssmsg.recogniser.recogniser import Recogniser
 from dssmsg.recogniser.shelf import Shelf, all_labels
 from dssmsg.recogniser.views import View, home_views, room_views
@@ -43,7 +44,7 @@ def export(masks: Path, crops: Path, folder: Path) -> None:
         folder / "crops.onnx", ["crops", "facts"], ["vectors", "logits"],
         {name: {0: "N"} for name in ("crops", "facts", "vectors", "logits")},
     )  # fmt: skip
-    write_card(folder, 1.0, 0.5, (1.0, 1.0, 0.0, 0.0, 0.0))
+    write_card(folder)
 
 
 def _to_onnx(
@@ -61,29 +62,41 @@ def _to_onnx(
     )  # fmt: skip
 
 
-def write_card(folder: Path, temperature: float, context: float, quality: Sequence[float]) -> None:
+def write_card(
+    folder: Path,
+    temperature: float = 1.0,
+    context: float = 0.5,
+    joining: Sequence[float] = (),
+    quality: Sequence[float] = (1.0, 1.0, 0.0, 0.0, 0.0),
+) -> None:
     """The card beside the networks: labels, sums, calibration."""
     sums = {
         name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
         for name in ("masks.onnx", "crops.onnx")
     }
     card = {
-        "labels": list(all_labels()), "sha256": sums, "temperature": round(temperature, 4),
-        "context": round(context, 4), "quality": [round(float(value), 5) for value in quality],
-    }  # fmt: skip
+        "labels": list(all_labels()),
+        "sha256": sums,
+        "temperature": round(temperature, 4),
+        "context": round(context, 4),
+        "joining": [round(float(value), 4) for value in joining],
+        "quality": [round(float(value), 4) for value in quality],
+    }
     (folder / CARD).write_text(json.dumps(card, indent=1) + "\n", "utf-8")
 
 
 def calibrate(folder: Path, views_a_seed: int = 12) -> None:
-    """Fit temperature, context weight and the score's logistic on CALIBRATION_SEEDS; rewrite the card."""
+    """Fit the card's numbers on CALIBRATION_SEEDS: labels, then joining, then the score; rewrite it."""
+    write_card(folder)
     views = list(_calibration_views(views_a_seed))
     temperature, context = _fit_labels(folder, views)
-    write_card(folder, temperature, context, (1.0, 1.0, 0.0, 0.0, 0.0))
-    recogniser = Recogniser(folder, max_things=30)
+    joining = _fit_joining(folder, views)
+    write_card(folder, temperature, context, joining)
+    recogniser = Recogniser(folder, max_crops=40)
     rows, right = [], []
     for view in views:
         counted = visible(view)
-        for seen in recogniser.see(view.frame):
+        for seen in recogniser.consider(view.frame)[2]:
             number = int(np.argmax(np.bincount(view.instance_ids[seen.mask])))
             found = number > 0 and mask_iou(seen.mask, view.instance_ids == number) >= MIN_IOU
             if found and number not in counted:
@@ -92,8 +105,37 @@ def calibrate(folder: Path, views_a_seed: int = 12) -> None:
             rows.append(seen.evidence)
             right.append(found and label == view.things[number][0])
     quality = logistic(np.array(rows), np.array(right, np.float64))
-    write_card(folder, temperature, context, quality)
+    write_card(folder, temperature, context, joining, quality)
     print(f"temperature {temperature:.2f}, context {context:.2f}, right {np.mean(right):.3f} of {len(right)}")
+
+
+def _fit_joining(folder: Path, views: Sequence[View]) -> NDArray[np.float64]:
+    """Weights of the logistic that says whether two touching pieces are one thing."""
+    card, place = read_card(folder)
+    network = MaskNetwork(place, card, 1)
+    rows: list[NDArray[np.float32]] = []
+    one: list[bool] = []
+    for view in views:
+        frame = view.frame
+        geometry = half_geometry(frame.depth, frame.camera, frame.world_from_camera, 0.0)
+        maps = network.run(normalised_rgb(frame.rgb), geometry_channels(geometry))
+        pieces = vote(*maps, geometry.depth, GroupingRule())
+        ids = view.instance_ids[::2, ::2]
+        owners = [_owner(ids[pieces.numbers == n + 1]) for n in range(len(pieces.peaks))]
+        found = pieces.contacts
+        for first, second, facts in zip(found.first, found.second, found.facts, strict=True):
+            if owners[first - 1] is not None and owners[second - 1] is not None:
+                rows.append(facts)
+                one.append(owners[first - 1] == owners[second - 1] != 0)
+    return logistic(np.array(rows), np.array(one, np.float64))
+
+
+def _owner(ids: NDArray[np.int32]) -> int | None:
+    """The instance that most of a piece belongs to; None for a piece that is a mixture."""
+    if len(ids) == 0:
+        return None
+    counts = np.bincount(ids)
+    return int(np.argmax(counts)) if counts.max() > 0.6 * len(ids) else None
 
 
 def _calibration_views(count: int) -> list[View]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dssmsg.recogniser.grouping import GroupingRule, group
+from dssmsg.recogniser.grouping import GroupingRule, candidates
 from dssmsg.recogniser.inputs import geometry_channels, half_geometry, normalised_rgb
 from dssmsg.recogniser.networks import MaskNetwork, read_card
 from dssmsg.recogniser.shelf import all_labels
@@ -37,6 +37,7 @@ def propose(folder: Path, weights: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     card, place = read_card(weights)
     network = MaskNetwork(place, card, 1)
+    rule = GroupingRule(join=card.joining)
     for path in shards(folder):
         target = out / path.name
         if target.exists():
@@ -47,7 +48,7 @@ def propose(folder: Path, weights: Path, out: Path) -> None:
             depth = shard.depth_mm[view].astype(np.float32) / np.float32(1000)
             geometry = half_geometry(depth, CAMERA, shard.poses[view], 0.0)
             dense, classes = network.run(normalised_rgb(shard.rgb[view]), geometry_channels(geometry))
-            for one in group(dense, classes, depth, geometry.depth, GroupingRule()):
+            for one in candidates(dense, classes, depth, geometry.depth, rule):
                 label = name_of(one.mask, shard.ids[view], shard.label)
                 if label is not None:
                     rows.append((view, label, np.packbits(one.mask)))

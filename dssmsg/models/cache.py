@@ -36,7 +36,8 @@ def state(model: CatalogueModel) -> State:
 def checked_path(model: CatalogueModel, path: Path | None = None, *, key: str | None = None) -> Path:
     """The file of the model: `path`, else the cached one, after its SHA-256 was checked.
 
-    `key` is the option that names the file, for errors. Raises InputError where there is none or it is another one; says how to get it.
+    `key` is the option that names the file, for errors. Raises InputError where there is none or it is
+    another one; says how to get it.
     """
     file = cached_path(model) if path is None else path
     if not file.is_file():

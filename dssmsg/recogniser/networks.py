@@ -25,7 +25,8 @@ CARD = "weights.json"
 class Card:
     """What belongs to the weights: labels in the order of the classifiers, SHA-256 by file, calibration.
 
-    `temperature` divides the classifier's logits; `context` is the weight of the dense network's opinion.
+    `temperature` divides the classifier's logits; `context` is the weight of the dense network's opinion;
+    `quality` are the weights of a detection's score, `joining` those of pieces that touch.
     """
 
     labels: tuple[str, ...]
@@ -33,6 +34,7 @@ class Card:
     temperature: float
     context: float
     quality: tuple[float, ...]
+    joining: tuple[float, ...]
 
 
 def read_card(folder: Path | None = None) -> tuple[Card, Path]:
@@ -46,6 +48,7 @@ def read_card(folder: Path | None = None) -> tuple[Card, Path]:
         card = Card(
             tuple(row["labels"]), dict(row["sha256"]), float(row["temperature"]), float(row["context"]),
             tuple(float(value) for value in row["quality"]),
+            tuple(float(value) for value in row["joining"]),
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise PluginError(

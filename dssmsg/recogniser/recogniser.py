@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dssmsg.frame import Float32Array, Frame, MaskArray
 from dssmsg.recogniser.crops import CropImages, cut
-from dssmsg.recogniser.grouping import GroupingRule, group
+from dssmsg.recogniser.grouping import Group, GroupingRule, candidates, chosen, limited, pooled
 from dssmsg.recogniser.inputs import (
     HalfGeometry,
     geometry_channels,
@@ -54,14 +54,14 @@ class Recogniser:
         *,
         threads: int = 1,
         rule: GroupingRule | None = None,
-        max_things: int = 14,
+        max_crops: int = 24,
     ) -> None:
         """Raises PluginError where the weights are missing or changed."""
         self.card, place = read_card(weights)
         self._masks = MaskNetwork(place, self.card, threads)
         self._crops = CropNetwork(place, self.card, threads)
-        self._rule = rule or GroupingRule()
-        self._max_things = max_things
+        self._rule = rule or GroupingRule(join=self.card.joining)
+        self._max_crops = max_crops
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -69,21 +69,35 @@ class Recogniser:
         return self.card.labels
 
     def see(self, frame: Frame) -> list[Seen]:
-        """The things of a frame, the largest first, at most `max_things`."""
+        """The things of a frame, the largest first; none overlaps another."""
+        working, groups, seen = self.consider(frame)
+        return [
+            replace(seen[i], mask=working.enlarged(seen[i].mask))
+            for i in chosen(groups, [self.score(one) for one in seen])
+        ]
+
+    def score(self, seen: Seen) -> float:
+        """The chance that mask and best label are both right, 0..1."""
+        weights = np.asarray(self.card.quality, np.float32)
+        return float(1 / (1 + np.exp(-float(weights @ seen.evidence))))
+
+    def consider(self, frame: Frame) -> tuple[WorkingFrame, list[Group], list[Seen]]:
+        """Everything that may be a thing, each with its names; masks at working size."""
         working = WorkingFrame.of(frame)
         geometry = self._geometry(frame, working)
-        dense, classes = self._dense(working, geometry)
-        groups = group(dense, classes, working.depth, geometry.depth, self._rule)[: self._max_things]
+        maps = self._dense(working, geometry)
+        groups = limited(candidates(*maps, working.depth, geometry.depth, self._rule), self._max_crops)
         if not groups:
-            return []
+            return working, [], []
         vectors, logits = self._crops.run(
             *cut(CropImages.of(working.rgb, geometry), [one.mask for one in groups])
         )
         probabilities = self.joint(logits, np.stack([one.labels for one in groups]))
-        return [
-            Seen(working.enlarged(one.mask), p, v, one.thing, one.peak, int(np.count_nonzero(one.mask)))
+        seen = [
+            Seen(one.mask, p, v, one.thing, one.peak, one.pixels)
             for one, p, v in zip(groups, probabilities, vectors, strict=True)
         ]
+        return working, groups, seen
 
     def opinions(
         self, frame: Frame, masks: Sequence[MaskArray]
@@ -94,9 +108,9 @@ class Recogniser:
         geometry = self._geometry(frame, working)
         small = [working.reduced(mask) for mask in masks]
         _dense, classes = self._dense(working, geometry)
-        views = softmax(classes.transpose(1, 2, 0))
+        labels = softmax(classes.transpose(1, 2, 0)).transpose(2, 0, 1)
         vectors, logits = self._crops.run(*cut(CropImages.of(working.rgb, geometry), small))
-        return vectors, logits, np.stack([_pooled(views, mask) for mask in small])
+        return vectors, logits, np.stack([pooled(labels, mask[::2, ::2]) for mask in small])
 
     def joint(self, logits: Float32Array, context: Float32Array) -> Float32Array:
         """Label probabilities (N, C + 1) of both networks together, by the card's calibration."""
@@ -109,10 +123,3 @@ class Recogniser:
 
     def _dense(self, working: WorkingFrame, geometry: HalfGeometry) -> tuple[Float32Array, Float32Array]:
         return self._masks.run(normalised_rgb(working.rgb), geometry_channels(geometry))
-
-
-def _pooled(views: Float32Array, mask: MaskArray) -> Float32Array:
-    """Mean label probabilities (C + 1,) of views (h, w, C + 1) over a mask (4h, 4w)."""
-    there = mask[::4, ::4][: views.shape[0], : views.shape[1]]
-    mean: Float32Array = views[there].mean(axis=0) if there.any() else views.mean(axis=(0, 1))
-    return mean
