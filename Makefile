@@ -19,7 +19,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/mypy dssmsg plugins
 
 verify: $(VENV)/.installed-dev assets
-	$(BIN)/python benchmarks/verify.py
+	$(BIN)/python benchmarks/verify.py --write docs/figures.md
 
 setup: $(VENV)/.installed
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-STAGES = ("render", "masks", "crops", "proposals", "tune", "export", "calibrate")
+STAGES = ("render", "masks", "masks2", "crops", "proposals", "tune", "export", "calibrate")
 SEEDS = range(540)
 
 
@@ -32,7 +32,8 @@ def main() -> None:
 def run(stage: str, given: argparse.Namespace) -> None:
     """One stage; what only it needs is imported here."""
     work: Path = given.work
-    shards, masks, crops, tuned = (work / name for name in ("shards", "masks.pt", "crops.pt", "tuned.pt"))
+    shards = work / "shards"
+    first, masks, crops, tuned = (work / f"{name}.pt" for name in ("masks", "masks2", "crops", "tuned"))
     if stage == "render":
         from training.render import render
 
@@ -44,16 +45,21 @@ def run(stage: str, given: argparse.Namespace) -> None:
     if stage == "masks":
         from training import masks as mask_stage
 
-        mask_stage.train(shards, masks, planned(mask_stage.Plan(), given.steps))
+        mask_stage.train(shards, first, planned(mask_stage.Plan(), given.steps))
+    elif stage == "masks2":
+        from training import masks as mask_stage
+
+        mask_stage.train(shards, masks, planned(mask_stage.SECOND, given.steps), begin_with=first)
     elif stage == "crops":
         from training import crops_train
 
         crops_train.train(shards, crops, planned(crops_train.Plan(), given.steps))
     elif stage == "proposals":
-        from training.export import export
+        from training.export import calibrate, export
         from training.proposals import propose
 
         export(masks, crops, work / "weights")
+        calibrate(work / "weights")  # joining must be known
         propose(shards, work / "weights", work / "proposals")
     elif stage == "tune":
         from training import crops_train
@@ -72,7 +78,10 @@ def run(stage: str, given: argparse.Namespace) -> None:
 
 def planned(plan: Any, steps: int | None) -> Any:
     """The stage's plan, of another length where that was asked for."""
-    return plan if steps is None else replace(plan, steps=steps)
+    if steps is None:
+        return plan
+    shorter = {"steps": steps, "until": steps} if hasattr(plan, "until") else {"steps": steps}
+    return replace(plan, **shorter)
 
 
 if __name__ == "__main__":

@@ -19,32 +19,52 @@ from training.samples import Views
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How long and how fast to learn."""
+    """How long and how fast to learn.
+
+    The learning rate's course is laid out for `steps`, training ends after `until`; shards of the `seeds` first
+    seeds are used; `small` gives the pixels of small things more weight, 0 = each pixel counts the same.
+    """
 
     steps: int = 1100
+    until: int = 800
     batch: int = 8
     rate: float = 2e-3
     seed: int = 0
     save_every: int = 100
+    first_seed: int = 0
+    seeds: int = 360
+    small: float = 0.0
 
 
-def loss(dense: Tensor, classes: Tensor, target: list[Tensor], nothing: int) -> tuple[Tensor, list[float]]:
+def loss(
+    dense: Tensor, classes: Tensor, target: list[Tensor], nothing: int, small: float
+) -> tuple[Tensor, list[float]]:
     """The weighted sum of the five losses, and each of them."""
     thing, heat, border, offset, weight, label = target
     bce = functional.binary_cross_entropy_with_logits
+    even = 1 + small * weight  # the weight is 0 outside things, and grows as things get small
+    coarse = even[:, ::2, ::2]
+    named = torch.where(label < 0, nothing, label).long()
     parts = [
-        bce(dense[:, 0], thing),
+        bce(dense[:, 0], thing, weight=even),
         60 * ((torch.sigmoid(dense[:, 1]) - heat).square() * (0.3 + heat)).mean(),
         2 * ((dense[:, 2:4] - offset).abs().sum(1) * weight).sum() / weight.sum().clamp(min=1),
         0.5 * bce(dense[:, 4], border, pos_weight=torch.tensor(3.0)),
-        0.5 * functional.cross_entropy(classes, torch.where(label < 0, nothing, label).long()),
+        0.5 * (functional.cross_entropy(classes, named, reduction="none") * coarse).mean(),
     ]
     return torch.stack(parts).sum(), [float(part.detach()) for part in parts]
 
 
-def train(folder: Path, out: Path, plan: Plan) -> None:
-    """Train to `out` (a checkpoint), going on from it where it is there. Prints a line every 20 steps."""
-    views = Views(folder)
+SECOND = Plan(steps=900, until=900, rate=1.6e-3, seed=1, seeds=10**6, small=1.0)
+"""The second round: every shard, and more weight on small things."""
+
+
+def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -> None:
+    """Train to `out` (a checkpoint), going on from it where it is there. Prints a line every 20 steps.
+
+    `begin_with`: a checkpoint whose network is taken over at first.
+    """
+    views = Views(folder, plan.seeds)
     torch.manual_seed(plan.seed)
     nothing = len(all_labels())
     net = MaskNet(nothing, GEOMETRY_CHANNELS)
@@ -60,6 +80,8 @@ def train(folder: Path, out: Path, plan: Plan) -> None:
         optimiser, [plan.rate, plan.rate / 3], total_steps=plan.steps, pct_start=0.1
     )
     start = 0
+    if begin_with is not None:
+        net.load_state_dict(torch.load(begin_with, weights_only=True)["net"])
     if out.exists():
         saved = torch.load(out, weights_only=True)
         net.load_state_dict(saved["net"])
@@ -68,14 +90,14 @@ def train(folder: Path, out: Path, plan: Plan) -> None:
         start = saved["step"]
     net.train()
     began, sums = time.time(), np.zeros(5)
-    for step in range(start, plan.steps):
+    for step in range(start, plan.until):
         rng = np.random.default_rng([plan.seed, step])
         samples = [views.sample(int(i), rng) for i in rng.choice(len(views), plan.batch, replace=False)]
         image, geometry, *target = (torch.from_numpy(np.stack(part)) for part in zip(*samples, strict=True))
         dense, classes = net(
             *(part.contiguous(memory_format=torch.channels_last) for part in (image, geometry))
         )
-        total, parts = loss(dense, classes, target, nothing)
+        total, parts = loss(dense, classes, target, nothing, plan.small)
         optimiser.zero_grad()
         total.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 5.0)
@@ -86,7 +108,7 @@ def train(folder: Path, out: Path, plan: Plan) -> None:
             text = " ".join(f"{value:.3f}" for value in sums / 20)
             print(f"{step + 1} {text} {(time.time() - began) / (step + 1 - start):.2f} s/step", flush=True)
             sums[:] = 0
-        if (step + 1) % plan.save_every == 0 or step + 1 == plan.steps:
+        if (step + 1) % plan.save_every == 0 or step + 1 == plan.until:
             torch.save(
                 {"net": net.state_dict(), "optimiser": optimiser.state_dict(),
                  "schedule": schedule.state_dict(), "step": step + 1}, out,

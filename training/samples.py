@@ -17,8 +17,9 @@ from training.render import load, shards
 class Views:
     """All views of the shards in memory; gives augmented samples."""
 
-    def __init__(self, folder: Path) -> None:
-        parts = [load(path) for path in shards(folder)]
+    def __init__(self, folder: Path, seeds: int = 10**6) -> None:
+        """The shards of `folder` of the first `seeds` seeds."""
+        parts = [load(path) for path in shards(folder) if int(path.stem) < seeds]
         self.rgb = np.concatenate([part.rgb for part in parts])
         self.depth_mm = np.concatenate([part.depth_mm for part in parts])
         self.ids = np.concatenate([part.ids for part in parts])
