@@ -236,6 +236,12 @@ def test_view_opens_the_recording_with_a_layout(
 def test_a_viewer_that_cannot_start_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     from dssmsg.recording import viewer
 
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    if sys.platform == "linux":
+        with pytest.raises(viewer.ViewerError, match="no screen here.*--web"):
+            viewer.Viewer.start([])
+    monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr(viewer, "rerun_program", lambda: Path("/bin/false"))
     with pytest.raises(viewer.ViewerError, match="--web"):
         viewer.Viewer.start([])

@@ -15,7 +15,7 @@ from dssmsg.recogniser.shelf import all_labels
 from dssmsg.recogniser.views import CAMERA
 from training.proposals import Proposals, load_proposals
 from training.render import load, shards
-from training.samples import Views, recoloured
+from training.samples import Views, recoloured, repainted
 
 MIN_PIXELS = 80
 NOTHING_SHARE = 0.1
@@ -25,8 +25,10 @@ Sample = tuple[NDArray[np.float32], NDArray[np.float32], int]
 class Crops:
     """Draws instances of all views, rarer labels more often than they occur."""
 
-    def __init__(self, folder: Path, proposals: Path | None = None) -> None:
-        """`proposals`: a folder of the stage of that name; half of the samples then come from there."""
+    def __init__(self, folder: Path, proposals: Path | None = None, wild: float = 0.0) -> None:
+        """`proposals`: a folder of the stage of that name; half of the samples then come from there. `wild`:
+        the share of samples in colours that their models do not have."""
+        self._wild = wild
         self.views = Views(folder)
         self.nothing = len(all_labels())
         rows = []
@@ -85,6 +87,8 @@ class Crops:
 
     def _sample(self, view: int, mask: NDArray[np.bool_], label: int, rng: np.random.Generator) -> Sample:
         rgb = recoloured(self.views.rgb[view], rng)
+        if rng.random() < self._wild:
+            rgb = repainted(rgb, rng)
         depth = self.views.depth_mm[view].astype(np.float32) / np.float32(1000)
         images = CropImages.of(rgb, half_geometry(depth, CAMERA, self.views.poses[view], 0.0))
         crops, facts = cut(images, [mask])

@@ -27,9 +27,10 @@ class Plan:
     seed: int = 0
     save_every: int = 100
     vector_weight: float = 2.0
+    wild: float = 0.0
 
 
-TUNING = Plan(steps=600, rate=8e-4, seed=1)
+TUNING = Plan(steps=700, rate=1e-3, seed=1, wild=0.25)
 """The second round, in which half of the crops are the mask network's own."""
 
 
@@ -47,7 +48,7 @@ def train(
 
     `begin_with`: a checkpoint whose network is taken over at first; `proposals`: see `Crops`.
     """
-    crops = Crops(folder, proposals)
+    crops = Crops(folder, proposals, plan.wild)
     torch.manual_seed(plan.seed)
     labels = len(all_labels())
     net = CropNet(labels, CROP_EXTRA, CROP_FACTS, VECTOR)

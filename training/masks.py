@@ -21,8 +21,8 @@ from training.samples import Views
 class Plan:
     """How long and how fast to learn.
 
-    The learning rate's course is laid out for `steps`, training ends after `until`; shards of the `seeds` first
-    seeds are used; `small` gives the pixels of small things more weight, 0 = each pixel counts the same.
+    The learning rate's course is laid out for `steps`, training ends after `until`; the shards of seeds below
+    `seeds` are used; `small` gives the pixels of small things more weight, 0 = each pixel counts the same.
     """
 
     steps: int = 1100
@@ -31,7 +31,6 @@ class Plan:
     rate: float = 2e-3
     seed: int = 0
     save_every: int = 100
-    first_seed: int = 0
     seeds: int = 360
     small: float = 0.0
 

@@ -18,7 +18,7 @@ class Views:
     """All views of the shards in memory; gives augmented samples."""
 
     def __init__(self, folder: Path, seeds: int = 10**6) -> None:
-        """The shards of `folder` of the first `seeds` seeds."""
+        """The shards of `folder` of seeds below `seeds`."""
         parts = [load(path) for path in shards(folder) if int(path.stem) < seeds]
         self.rgb = np.concatenate([part.rgb for part in parts])
         self.depth_mm = np.concatenate([part.depth_mm for part in parts])
@@ -47,6 +47,15 @@ def recoloured(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.u
     gain = rng.normal(1.0, 0.15) * rng.normal(1.0, 0.06, 3)
     image = (rgb.astype(np.float32) - 128) * np.float32(rng.normal(1, 0.12)) + 128
     return np.clip(image * gain.astype(np.float32), 0, 255).astype(np.uint8)
+
+
+def repainted(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Other colours altogether: channels exchanged, some turned round, so that shape must tell."""
+    image = rgb[..., rng.permutation(3)]
+    if rng.random() < 0.3:
+        image = np.repeat(image.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2)
+    turned = rng.random(3) < 0.15
+    return np.where(turned, 255 - image, image).astype(np.uint8)
 
 
 def targets(ids: NDArray[np.uint8], label: NDArray[np.int16]) -> tuple[NDArray[np.float32], ...]:

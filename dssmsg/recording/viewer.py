@@ -16,6 +16,10 @@ from dssmsg.recording.repair import rerun_program, viewer_environment
 
 LOOPBACK = "127.0.0.1"
 _START_SECS = 30.0
+_NO_SCREEN = (
+    "no window can be opened: there is no screen here (DISPLAY and WAYLAND_DISPLAY are not set); "
+    "try --web, and open the page in a browser"
+)
 
 
 class ViewerError(DssmsgError):
@@ -44,6 +48,8 @@ class Viewer:
 
         Raises ViewerError if the viewer ends at once: no screen, no graphics.
         """
+        if sys.platform.startswith("linux") and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
+            raise ViewerError(_NO_SCREEN)
         port = free_port() if port is None else port
         command = [*map(str, files), "--port", str(port), "--bind", LOOPBACK, "--hide-welcome-screen"]
         viewer = cls(_launch(command), port)
@@ -79,13 +85,15 @@ class Viewer:
                     raise ViewerError(f"the viewer did not go to frame {frame}: {error}") from error
                 time.sleep(0.5)
 
-    def wait(self) -> int:
-        """Wait until the window is closed; Ctrl-C closes it. Returns the viewer's exit code."""
+    def wait(self) -> None:
+        """Wait until the window is closed; Ctrl-C closes it. Raises ViewerError if the viewer failed."""
         try:
-            return self.process.wait()
+            code = self.process.wait()
         except KeyboardInterrupt:
             self.stop()
-            return 0
+            return
+        if code != 0:
+            raise ViewerError(f"the viewer ended with code {code}; what it said is above")
 
     def stop(self) -> None:
         """End the viewer; safe to call twice."""
@@ -120,7 +128,7 @@ def _launch(arguments: Sequence[str]) -> subprocess.Popen[bytes]:
             [str(rerun_program()), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=sys.stderr.fileno() if _has_fileno() else subprocess.DEVNULL,
-            env={**os.environ, **viewer_environment()},
+            env={"RUST_LOG": "error", **os.environ, **viewer_environment()},
         )
     except OSError as error:
         raise ViewerError(f"the viewer cannot be started ({error.strerror})") from error
