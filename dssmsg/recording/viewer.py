@@ -48,7 +48,8 @@ class Viewer:
 
         Raises ViewerError if the viewer ends at once: no screen, no graphics.
         """
-        if sys.platform.startswith("linux") and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
+        screens = [os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")]
+        if sys.platform == "linux" and not any(screens):
             raise ViewerError(_NO_SCREEN)
         port = free_port() if port is None else port
         command = [*map(str, files), "--port", str(port), "--bind", LOOPBACK, "--hide-welcome-screen"]
