@@ -426,8 +426,8 @@ def markdown(rows: list[Row]) -> str:
         [
             "# Figures",
             "",
-            "Measured by `make verify` on two shared x86-64 cores without a GPU. Timings are noisy there: ratios",
-            "come from runs in turn, the absolute ones are upper bounds.",
+            "Measured by `make verify` on two shared x86-64 cores without a GPU. Timings are noisy there:",
+            "ratios come from runs in turn, the absolute ones are upper bounds.",
             "",
             "| what | asked | measured | |",
             "|---|---|---|---|",

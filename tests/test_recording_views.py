@@ -239,7 +239,7 @@ def test_a_viewer_that_cannot_start_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     if sys.platform == "linux":
-        with pytest.raises(viewer.ViewerError, match="no screen here.*--web"):
+        with pytest.raises(viewer.ViewerError, match=r"no screen here.*--web"):
             viewer.Viewer.start([])
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr(viewer, "rerun_program", lambda: Path("/bin/false"))
