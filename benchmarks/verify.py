@@ -284,14 +284,11 @@ def association(cwd: Path) -> list[Row]:
         env={**ENVIRONMENT, "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
     )
     figures = json.loads(done.stdout)
-    growth, speedup, milliseconds = (
-        figures["ratio_2000_to_100"],
-        figures["speedup_at_50"],
-        figures["ms_at_50"],
-    )
+    growth, speedup = figures["map_growth"], figures["brute_speedup"]
+    milliseconds = figures["frame_ms@50"]
     return [
         Row("association, 2,000 against 100 objects", "<= 1.5 x", f"{growth:.2f} x", growth <= 1.5),
         Row("association, against exhaustive at 50", ">= 10 x", f"{speedup:.0f} x", speedup >= 10),
