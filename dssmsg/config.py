@@ -153,7 +153,9 @@ class RunConfig(BaseModel):
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$",
         description="Part of the recording's file name: letters, digits, `.`, `_`, `-`.",
     )
-    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Seeds every generator of the run.")
+    seed: int = Field(
+        default=0, strict=True, ge=0, le=2**63 - 1, description="Seeds every generator of the run."
+    )
     plugins: tuple[Text, ...] = Field(
         default=(),
         max_length=200,

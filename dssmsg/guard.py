@@ -28,6 +28,14 @@ FLUSH_SECS = 5.0
 """How long reporting and flushing may take once a plug-in hangs: they may wait for what the plug-in holds."""
 
 
+LastWords = Callable[[PluginTimeout], None]
+
+
+def say_on_stderr(error: PluginTimeout) -> None:
+    """What is said before a hanging plug-in ends the process."""
+    print(f"error: {error}", file=sys.stderr)
+
+
 @dataclass(slots=True, eq=False)
 class _Call:
     """A call under way, what it was called from, and the seconds the watchdog has counted."""
@@ -53,6 +61,7 @@ class Guard:
         report: Callable[[ErrorOccurred], None] = lambda event: None,
         on_hang: Callable[[], None] = lambda: None,
         *,
+        last_words: LastWords = say_on_stderr,
         end_process: Callable[[int], Any] = os._exit,
     ) -> None:
         self.errors: Counter[str] = Counter()
@@ -61,6 +70,7 @@ class Guard:
         self._timeout_secs = timeout_secs
         self._report = report
         self._on_hang = on_hang
+        self._last_words = last_words
         self._end_process = end_process
         self._frame, self._sim_time = -1, 0.0
         self._call: _Call | None = None
@@ -148,7 +158,8 @@ class Guard:
         saving = threading.Thread(target=save, name="dssmsg-last-words", daemon=True)
         saving.start()
         saving.join(FLUSH_SECS)
-        print(f"error: {error}", file=sys.stderr, flush=True)
+        self._last_words(error)
+        sys.stderr.flush()
         self._end_process(error.exit_code)
 
 

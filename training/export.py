@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import onnx
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -25,6 +26,7 @@ from training.nets import CropNet, MaskNet
 
 CALIBRATION_SEEDS = range(90_000, 90_012)
 """Rooms of the training range that no other stage renders."""
+_LARGE, _HALF_MAX = 256, 60_000.0
 
 
 def export(masks: Path, crops: Path, folder: Path) -> None:
@@ -60,6 +62,27 @@ def _to_onnx(
         net, example, str(path), input_names=list(inputs), output_names=list(outputs), dynamic_axes=axes,
         opset_version=17, dynamo=False,
     )  # fmt: skip
+    _store_half(path)
+
+
+def _store_half(path: Path) -> None:
+    """Keep large weights as 16-bit floats, cast back when the network is loaded: half the file."""
+    model = onnx.load(path)
+    casts, kept = [], []
+    for weight in model.graph.initializer:
+        values = onnx.numpy_helper.to_array(weight)
+        if values.dtype != np.float32 or values.size < _LARGE or np.abs(values).max() > _HALF_MAX:
+            kept.append(weight)
+            continue
+        stored = f"{weight.name}.half"
+        kept.append(onnx.numpy_helper.from_array(values.astype(np.float16), stored))
+        casts.append(onnx.helper.make_node("Cast", [stored], [weight.name], to=onnx.TensorProto.FLOAT))
+    nodes = [*casts, *model.graph.node]
+    del model.graph.initializer[:], model.graph.node[:]
+    model.graph.initializer.extend(kept)
+    model.graph.node.extend(nodes)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
 
 
 def write_card(

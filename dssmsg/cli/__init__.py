@@ -6,6 +6,7 @@ code, with `--json` an object on stdout too; anything else keeps its traceback.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -151,10 +152,17 @@ models.register(app)
 evaluate.register(app)
 
 
+_THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "PASSIVE"}
+"""Our matrices are small: more BLAS threads do nothing but spin on the core that the recording is written on.
+Set before numpy is imported; whoever knows better sets them in the environment."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     from dssmsg.cli.ending import Ending
 
+    for variable, value in _THREADS.items():
+        os.environ.setdefault(variable, value)
     given = list(sys.argv[1:] if arguments is None else arguments)
     ending = Ending(as_json="--json" in given, debug="--debug" in given)
     # --debug may stand anywhere; the parser knows it in front of the command.

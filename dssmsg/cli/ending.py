@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import logging
 import os
 import signal
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
+from dssmsg.cli.output import error_json
 from dssmsg.errors import ConfigError, DssmsgError, StorageError
 
 INTERRUPTED, TERMINATED = 130, 143
@@ -52,7 +52,7 @@ class Ending:
             sys.stdout.flush()
             return code
         except KeyboardInterrupt as error:
-            return _interrupted(error)
+            return self._interrupted(error)
         except BrokenPipeError:
             # The reader of stdout left, as `| head` does; Python would complain again when it flushes.
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -76,9 +76,16 @@ class Ending:
         self._print(known.kind, known.message, known.file, known.key)
         return known.exit_code
 
+    def _interrupted(self, error: KeyboardInterrupt) -> int:
+        terminated = isinstance(error, Terminated)
+        word = "terminated" if terminated else "interrupted"
+        print(word, file=sys.stderr)
+        self._print(word, f"{word} before the end", None, None)
+        return TERMINATED if terminated else INTERRUPTED
+
     def _print(self, kind: str, message: str, file: str | None, key: str | None) -> None:
         if self.as_json:
-            print(json.dumps({"error": {"kind": kind, "message": message, "file": file, "key": key}}))
+            print(error_json(kind, message, file, key))
 
 
 def _known(error: Exception) -> DssmsgError | None:
@@ -92,12 +99,6 @@ def _known(error: Exception) -> DssmsgError | None:
     if isinstance(error, OSError) and error.errno in _STORAGE_ERRORS and error.filename is not None:
         return StorageError(f"{error.strerror}", file=str(error.filename))
     return None
-
-
-def _interrupted(error: KeyboardInterrupt) -> int:
-    terminated = isinstance(error, Terminated)
-    print("terminated" if terminated else "interrupted", file=sys.stderr)
-    return TERMINATED if terminated else INTERRUPTED
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

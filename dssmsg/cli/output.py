@@ -11,18 +11,21 @@ from typing import Any
 
 
 @contextmanager
-def stdout_to_stderr() -> Iterator[None]:
-    """Everything written to stdout inside, by Python or by a C library, comes out on stderr."""
+def stdout_to_stderr() -> Iterator[int | None]:
+    """Everything written to stdout inside, by Python or by a C library, comes out on stderr.
+
+    Yields the descriptor of the real stdout, for last words; None where stdout is closed.
+    """
     sys.stdout.flush()
     with redirect_stdout(sys.stderr):
         try:
             saved = os.dup(1)
         except OSError:  # stdout is closed
-            yield
+            yield None
             return
         try:
             os.dup2(2, 1)
-            yield
+            yield saved
         finally:
             sys.stderr.flush()
             os.dup2(saved, 1)
@@ -32,6 +35,11 @@ def stdout_to_stderr() -> Iterator[None]:
 def print_json(value: Any) -> None:
     """One JSON value on stdout."""
     print(json.dumps(value, ensure_ascii=False, indent=2))
+
+
+def error_json(kind: str, message: str, file: str | None = None, key: str | None = None) -> str:
+    """A failure as the one JSON object that `--json` promises."""
+    return json.dumps({"error": {"kind": kind, "message": message, "file": file, "key": key}})
 
 
 def note(message: str) -> None:

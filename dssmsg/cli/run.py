@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dssmsg.cli.output import note, print_json, stdout_to_stderr
+from dssmsg.cli.output import error_json, note, print_json, stdout_to_stderr
 from dssmsg.config import load_config
+from dssmsg.errors import DssmsgError, PluginTimeout
 from dssmsg.host import Host
 from dssmsg.review.text import summary_text
 
@@ -46,7 +48,7 @@ def run_command(
 ) -> int:
     """Run a mission, print its summary, and return the exit code."""
     witness = _Witness()
-    with stdout_to_stderr():
+    with stdout_to_stderr() as real_stdout:
         config = load_config(path, sets=sets, goals=goals, seed=seed)
         with config.naming_files():
             host = Host.load(config.plugins, config.base_dir)
@@ -55,11 +57,21 @@ def run_command(
         host.check(config)
         from dssmsg.mission.run import run_mission
 
+        directory = Path(config.recording.directory)
+
+        def last_words(error: PluginTimeout) -> None:
+            note(f"error: {error}")
+            _say_what_is_kept(witness, directory)
+            if as_json and real_stdout is not None:
+                os.write(real_stdout, (error_json(error.kind, error.message) + "\n").encode())
+
         try:
             with config.naming_files():
-                result = run_mission(config, host, observers=[("command line", witness)])
-        except KeyboardInterrupt:
-            _say_what_is_kept(witness, Path(config.recording.directory))
+                result = run_mission(
+                    config, host, observers=[("command line", witness)], last_words=last_words
+                )
+        except (KeyboardInterrupt, DssmsgError):
+            _say_what_is_kept(witness, directory)
             raise
     summary = result.summary
     if as_json:

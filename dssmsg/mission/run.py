@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import logging
 import math
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from dssmsg import __version__, checks
+from dssmsg import checks
 from dssmsg.config import RunConfig, Slot
 from dssmsg.contexts import ContextFactory
 from dssmsg.errors import ConfigError, InputError
@@ -31,12 +28,13 @@ from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.nodes import BELIEVED
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.waypoints import WaypointTopology
-from dssmsg.guard import Guard
+from dssmsg.guard import Guard, LastWords, say_on_stderr
 from dssmsg.host import Built, Host
 from dssmsg.interfaces import Command, Observer, SourceInfo
 from dssmsg.lift import Lifter
 from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.drive import Driver
+from dssmsg.mission.identity import installed_versions, new_run_id
 from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
 from dssmsg.mission.llm_log import LoggedLlm
 from dssmsg.mission.pipeline import Pipeline, Plugins
@@ -44,9 +42,6 @@ from dssmsg.mission.seek import Seeker
 from dssmsg.mission.survey import Surveyor
 
 _log = logging.getLogger("dssmsg.mission")
-
-VERSIONED = ("rerun-sdk", "pluggy", "numpy", "scipy", "open3d-cpu", "open3d", "onnxruntime", "pybullet")
-"""Packages whose versions go into the recording's properties."""
 
 BUILD_ORDER = ("encoder", "llm", "perception", "association", "update", "grounding", "navigation")
 """After the source: whatever a kind may ask its context for is built before it."""
@@ -62,22 +57,33 @@ class RunResult:
 
 
 def run_mission(
-    config: RunConfig, host: Host, *, observers: Sequence[tuple[str, Observer]] = ()
+    config: RunConfig,
+    host: Host,
+    *,
+    observers: Sequence[tuple[str, Observer]] = (),
+    last_words: LastWords = say_on_stderr,
 ) -> RunResult:
     """Carry out the mission of a configuration.
 
-    `observers` are told everything besides the configured ones. Raises ConfigError, InputError before
+    `observers` are told everything besides the configured ones; `last_words` says why the process ends where
+    a plug-in hangs. Raises ConfigError, InputError before
     anything is written; PluginError with `on_error: fail`, StorageError when the disk gives out.
     """
     host.check(config)
-    mission = Mission(config, host, observers)
+    mission = Mission(config, host, observers, last_words)
     return mission.run()
 
 
 class Mission:
     """One run. Built in its constructor, carried out by `run`."""
 
-    def __init__(self, config: RunConfig, host: Host, observers: Sequence[tuple[str, Observer]] = ()) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        host: Host,
+        observers: Sequence[tuple[str, Observer]] = (),
+        last_words: LastWords = say_on_stderr,
+    ) -> None:
         self._config = config
         self._host = host
         self._started = perf_counter()
@@ -112,7 +118,13 @@ class Mission:
                 for name, slot in config.recording.observers.items()
             ]
         self._bus = ObserverBus([*built_observers, *observers])
-        self._guard = Guard(config.on_error, config.timeout_secs, self._bus.tell, on_hang=self._bus.close)
+        self._guard = Guard(
+            config.on_error,
+            config.timeout_secs,
+            self._bus.tell,
+            on_hang=self._bus.close,
+            last_words=last_words,
+        )
         self._pipeline = self._make_pipeline()
         self._driver = Driver(
             config.mission.linear_speed,
@@ -135,6 +147,7 @@ class Mission:
             self._bus.tell(self._start_event())
             try:
                 self._phases()
+                self._give_up_untried_goals()
             finally:
                 self._source.close()
             summary = self._summary()
@@ -308,6 +321,15 @@ class Mission:
             ended, frame = seeker.seek(len(self._episodes), goal, frame)
             self._episodes.append(ended)
 
+    def _give_up_untried_goals(self) -> None:
+        """A goal that was asked for ends as an episode, also where the run ended before its turn."""
+        if "seek" not in self._config.mission.phases:
+            return
+        for goal in self._config.mission.goals[len(self._episodes) :]:
+            ended = EpisodeEnded(len(self._episodes), goal, "failure", "not begun", *self._now())
+            self._bus.tell(ended)
+            self._episodes.append(ended)
+
     def _advance(self, command: Command) -> Frame | None:
         frame = self._capture(command)
         if frame is not None:
@@ -381,6 +403,7 @@ class Mission:
             "dropped_detections": dict(sorted(tally.dropped.items())),
             "episodes": [{"goal": e.goal, "outcome": e.outcome, "reason": e.reason} for e in self._episodes],
             "errors": self._bus.errors,
+            "failures": dict(sorted(self._guard.errors.items())),
             "collisions": self._source.collisions(),
             "out_of_frames": self._out_of_frames,
             "skipped_stops": list(self._skipped_stops),
@@ -391,25 +414,3 @@ class Mission:
                 "total": round(perf_counter() - self._started, 3),
             },
         }
-
-
-def new_run_id(config: RunConfig) -> str:
-    """`<time>-<name>`, with a number where files of that stem are already there."""
-    directory = Path(config.recording.directory)
-    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{config.name}"
-    candidate, number = stem, 1
-    while any(directory.glob(f"{candidate}.*")):
-        number += 1
-        candidate = f"{stem}-{number}"
-    return candidate
-
-
-def installed_versions() -> Mapping[str, str]:
-    """Versions of this package, Python and the packages that results depend on."""
-    versions = {"dssmsg": __version__, "python": platform.python_version()}
-    for package in VERSIONED:
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return versions

@@ -41,7 +41,8 @@ def summary_text(summary: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]
         rows.append(("collisions", summary["collisions"]))
     if summary.get("skipped_stops"):
         rows.append(("skipped", ", ".join(summary["skipped_stops"])))
-    rows.append(("errors", summary["errors"]))
+    failures = "".join(f", {plugin} failed {n} times" for plugin, n in summary.get("failures", {}).items())
+    rows.append(("errors", f"{summary['errors']}{failures}"))
     rows += [("", _error(error)) for error in errors[:MAX_ERRORS]]
     if len(errors) > MAX_ERRORS:
         rows.append(("", f"... and {len(errors) - MAX_ERRORS} more"))
