@@ -244,8 +244,8 @@ TABLE = [
     Case("unknown format", 2, ("--format",), ("export", "none.rrd", "--format", "doc")),
     Case(
         "recording directory is a file",
-        1,
-        ("taken",),
+        2,
+        ("recording.directory", "taken is a file"),
         ("run", "--set", "recording.directory=taken"),
         {"taken": "mine"},
     ),

@@ -348,7 +348,7 @@ def test_interruption_closes_the_recording(
     assert running.returncode == code, "".join(lines) + err
     assert err.splitlines()[-1] == word
     assert "Traceback" not in err
-    assert out == ""
+    assert json.loads(out)["error"]["kind"] == word
     (kept,) = (tmp_path / "recordings").iterdir()
     assert str(kept.relative_to(tmp_path)) in err
 
@@ -359,10 +359,13 @@ def test_hanging_plugin_ends_the_run_with_1(tmp_path: Path) -> None:
     )
     folder = project(tmp_path, {"dssmsg.yaml": config + "timeout_secs: 0.5\n", "slow.py": SLOW})
     done = folder.run_process(
-        "run", env={"PYTHONPATH": f"{ROOT / 'tests'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+        "run",
+        "--json",
+        env={"PYTHONPATH": f"{ROOT / 'tests'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"},
     )
     assert done.code == 1
     assert "perception/slow: detect did not return within 0.5 s" in done.err
+    assert done.json["error"]["kind"] == "timeout"
 
 
 def refresh() -> object:

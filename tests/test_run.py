@@ -87,6 +87,14 @@ def test_without_truth_the_log_is_the_same(tmp_path):
     assert logs[0]
 
 
+def test_a_goal_that_was_never_tried_is_no_success(tmp_path):
+    run = real_run(
+        tmp_path, "mission={phases: [survey, seek], goals: [a quiet place]}", "mission.max_frames=10"
+    )
+    assert run.summary["out_of_frames"]
+    assert run.summary["episodes"] == [{"goal": "a quiet place", "outcome": "failure", "reason": "not begun"}]
+
+
 def test_the_log_holds_scores_and_thresholds(oracle_run):
     rows = [json.loads(line) for line in oracle_run.change_log.read_text().splitlines()]
     merges = [row for row in rows if row["kind"] == "object_merged"]
