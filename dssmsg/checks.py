@@ -55,6 +55,13 @@ def check_frame(frame: Any, info: SourceInfo, previous: Frame | None = None) -> 
     return frame  # type: ignore[no-any-return]
 
 
+def check_count(value: Any) -> int:
+    """A count: a whole number from 0 up."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise CheckFailed(f"expected a whole number from 0 up, got {value!r}")
+    return value
+
+
 def check_detections(frame: Frame, value: Any) -> tuple[Detection, ...]:
     """Detections of a frame: their masks have its size, their features of one kind have one length."""
     detections = _sequence(value, Detection, "detection")
@@ -169,7 +176,7 @@ def check_vectors(value: Any, count: int, dimension: int) -> Float32Array:
     _expect(value, np.ndarray, "an array")
     _expect_shape(value, (count, dimension), "vectors")
     lengths = np.linalg.norm(value, axis=1)
-    if count and np.abs(lengths - 1.0).max() > 1e-3:
+    if count and not np.abs(lengths - 1.0).max() <= 1e-3:  # NaN is no length either
         raise CheckFailed(
             f"expected unit vectors, the length of one is {lengths[np.abs(lengths - 1.0).argmax()]:.4f}"
         )

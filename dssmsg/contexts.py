@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,13 +42,17 @@ class ContextFactory:
     source: SourceInfo | None = None
     encoder: Encoder | None = None
     llm: Llm | None = None
+    made: dict[str, Registration] = field(default_factory=dict)
+    """What was built, links of a chain included, by dotted key."""
 
     def __call__(self, registration: Registration) -> Context:
         """The context of one plug-in; what it builds itself gets a context of its own."""
         key = registration.kind
 
         def build(kind: str, slot: Slot | Mapping[str, Any]) -> Any:
-            return self.host.build(kind, slot, self, base_dir=self.base_dir, key=f"{key}.{kind}").plugin
+            built = self.host.build(kind, slot, self, base_dir=self.base_dir, key=f"{key}.{kind}")
+            self.made[f"{key}.{kind}"] = built.registration
+            return built.plugin
 
         return Context(
             seed=self.seed,

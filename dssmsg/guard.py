@@ -13,7 +13,8 @@ import sysconfig
 import threading
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -109,10 +110,10 @@ class Guard:
         fail, PluginError is raised instead. A full disk, a wrong option and a wrong input file
         (StorageError, ConfigError, InputError) pass through: no other frame will go better.
         """
-        self._call = _Call(plugin, what, self._call)
         try:
-            value = function(*arguments)
-            return value if check is None else check(value)
+            with self.watching(plugin, what):
+                value = function(*arguments)
+                return value if check is None else check(value)
         except (StorageError, ConfigError, InputError):
             raise
         except (Exception, SystemExit) as error:
@@ -123,6 +124,13 @@ class Guard:
             if not fatal:
                 return default
             raise PluginError(message, plugin=plugin) from error
+
+    @contextmanager
+    def watching(self, plugin: str, what: str) -> Iterator[None]:
+        """The watchdog looks on while inside; what is raised there is the caller's business."""
+        self._call = _Call(plugin, what, self._call)
+        try:
+            yield
         finally:
             self._call = self._call.outer if self._call is not None else None
 

@@ -76,3 +76,25 @@ def test_close_closes_all_and_then_says_what_failed():
     with pytest.raises(StorageError, match="flush failed"):
         bus.close()
     assert keeper.closed == 1
+
+
+def test_one_whose_warning_reaches_the_others_is_told_once():
+    """The bus logs a failure; where logs are events, that may not go round in circles."""
+    from dssmsg.mission.log_events import logged_as_events
+
+    keeper = Keeper()
+    bus = ObserverBus([("bad", Raising(RuntimeError("boom"))), ("good", keeper)])
+    with logged_as_events(bus.tell, lambda: (3, 0.6)):
+        bus.tell(PHASE)
+    kinds = [type(event).__name__ for event in keeper.events]
+    assert sorted(kinds) == ["ErrorOccurred", "Logged", "PhaseStarted"]
+
+
+def test_outputs_that_fail_do_not_lose_the_others():
+    class Mute(Keeper):
+        def outputs(self):
+            raise RuntimeError("no")
+
+    bus = ObserverBus([("mute", Mute()), ("good", Keeper())])
+    assert bus.outputs() == {"kept": "0"}
+    assert bus.failed == ["mute"]

@@ -176,6 +176,7 @@ def test_export_writes_the_graph_of_a_time_and_overwrites_nothing(
     [
         ("frame=400", "its frames are 0 to 39"),
         ("time=-3", "no frame at or before"),
+        ("update=100000", "its updates are 1 to"),
         ("soon", "frame=N"),
         ("x=3", "frame=N"),
     ],

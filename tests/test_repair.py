@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import random
 import select
@@ -11,14 +12,16 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from recorded_run import SyntheticRun, record
 
+from dssmsg.cli import main
 from dssmsg.errors import InputError, StorageError
 from dssmsg.graph.compare import same
 from dssmsg.graph.scene_graph import SceneGraph
-from dssmsg.recording import repair
+from dssmsg.recording import repair, schema
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.writer import RecordingWriter
 from dssmsg.review.summary import summarize
@@ -44,6 +47,12 @@ for index in range(run.frames):
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SyntheticRun]:
     run = SyntheticRun(40)
     return record(run, tmp_path_factory.mktemp("repair") / "whole.rrd"), run
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
+    code = main([str(argument) for argument in arguments])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
 
 
 def fingerprint(path: Path) -> tuple[str, int]:
@@ -131,15 +140,65 @@ def test_cut_anywhere_behind_the_first_flush(tmp_path: Path) -> None:
     assert min(kept) > 0
 
 
-def test_a_finished_file_cut_short_opens_too(whole: tuple[Path, SyntheticRun], tmp_path: Path) -> None:
+def test_a_finished_file_cut_anywhere_opens_too(
+    whole: tuple[Path, SyntheticRun], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path, run = whole
     data = path.read_bytes()
-    for share in (0.5, 0.9, 0.999):
-        copy = tmp_path / f"cut-{share}.rrd"
-        copy.write_bytes(data[: int(share * len(data))])
+    draw = random.Random(5)
+    partial = 0
+    cuts = [draw.randrange(len(data) // 20, len(data)) for _ in range(20)]
+    for cut in [*cuts, len(data) - 1]:
+        copy = tmp_path / f"cut-{cut}.rrd"
+        copy.write_bytes(data[:cut])
+        before = fingerprint(copy)
+        code, out, err = call(capsys, "inspect", copy, "--json")
+        assert code == 0, err
+        summary = json.loads(out)
         with Recording.open(copy) as recording:
             assert recording.facts["run_id"] == run.run_id
-            summarize(recording)
+            changes = list(recording.changes())
+            graph = recording.graph_at()
+            known = recording.last_known_frame
+        number = len(changes)
+        assert [change.update for change in changes] == list(range(1, number + 1))
+        assert same(graph, SceneGraph.fold(run.told[:number]))
+        assert summary["changes_readable"] == number == sum(summary["changes"].values())
+        assert number <= summary["changes_recorded"] <= len(run.told)
+        assert summary["objects"] + summary["tentative"] == len(graph.objects)
+        assert summary["waypoints"] == len(graph.waypoints)
+        assert summary["complete"] == (number == len(run.told) and summary["frames_readable"] == run.frames)
+        assert known is None or sum(change.frame <= known for change in run.told) <= number
+        if number < summary["changes_recorded"]:
+            partial += 1
+            assert f"{number} of at least {summary['changes_recorded']} changes" in summary["notes"][0]
+            assert summary["notes"][0] in call(capsys, "inspect", copy)[1]
+            assert summary["notes"][0] in call(capsys, "export", copy)[2]
+            beyond = 0 if known is None else known + 1
+            code, out, err = call(capsys, "export", copy, "--at", f"frame={beyond}")
+            assert (code, out) == (2, "")
+            assert str(copy) in err.splitlines()[-1]
+            assert "cut off" in err.splitlines()[-1]
+        if known is not None:
+            assert call(capsys, "export", copy, "--at", f"frame={known}")[0] == 0
+        assert fingerprint(copy) == before
+    assert partial > 3
+
+
+@pytest.mark.parametrize("spoil", ["json", "blob"])
+def test_damage_in_a_finished_file_is_said_with_its_path(
+    whole: tuple[Path, SyntheticRun], spoil: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, _ = whole
+    with Recording.open(path) as recording:
+        if spoil == "json":
+            rows = recording._file.rows(schema.GRAPH_LOG)
+            rows[1]["json"][0] = rows[1]["json"][0][:-9]  # type: ignore[index]
+        else:
+            monkeypatch.setattr(recording, "_blobs", {})
+        with pytest.raises(InputError, match="the changes") as caught:
+            recording.graph_at()
+        assert caught.value.file == str(path)
 
 
 def test_a_growing_file_reads_as_far_as_it_is(tmp_path: Path) -> None:

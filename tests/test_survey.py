@@ -77,3 +77,11 @@ def test_looking_is_quick():
     tour = (Stop("a", 0.0, 0.0, tuple((math.radians(60 * i), 0.0) for i in range(6))),)
     seen, _ = drive(tour)
     assert len(seen) <= 6 * 9
+
+
+def test_a_view_that_cannot_be_reached_is_skipped_and_named():
+    tour = (Stop("a", 0.0, 0.0, ((1.0, 0.0),)), Stop("b", 0.0, 0.0, ((2.0, -9.0),)))
+    seen, surveyor = drive(tour, frames=400)
+    assert len(seen) < 200
+    assert len(surveyor.skipped) == 3
+    assert all("at b" in name for name in surveyor.skipped)

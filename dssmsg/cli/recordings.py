@@ -94,6 +94,7 @@ def register(app: typer.Typer) -> None:
 
         with Recording.open(chosen(recording)) as opened:
             frame, update = moment(opened, at)
+            warn_of_cuts(opened)
             data = export_graph(opened.graph_at(frame, update=update), format.value)
         write_output(data, output, force=force)
 
@@ -130,7 +131,7 @@ def moment(recording: Recording, at: str | None) -> tuple[int | None, int | None
         if name == "time":
             return recording.frame_at_time(float(value)), None
         if name == "update":
-            return None, int(value)
+            return None, _among_updates(recording, int(value))
     except ValueError:
         pass
     raise ConfigError(f"expected frame=N, time=SECONDS or update=N, got {at!r}", key="--at")
@@ -144,6 +145,26 @@ def _within(recording: Recording, frame: int) -> int:
         span = f"its frames are {indices[0]} to {indices[-1]}" if indices else "it has no frames"
         raise ConfigError(f"no frame {frame} in {recording.path}: {span}", key="--at")
     return frame
+
+
+def _among_updates(recording: Recording, update: int) -> int:
+    from dssmsg.errors import ConfigError
+
+    if not 0 <= update <= recording.changes_recorded:
+        raise ConfigError(
+            f"no update {update} in {recording.path}: its updates are 1 to {recording.changes_recorded}"
+            " (0: before all)",
+            key="--at",
+        )
+    return update
+
+
+def warn_of_cuts(recording: Recording) -> None:
+    """Say on stderr what a recording that was cut off lacks."""
+    from dssmsg.cli.output import note
+
+    for line in recording.cut_notes():
+        note(f"warning: {recording.path}: {line}")
 
 
 def write_output(data: bytes, output: Path | None, *, force: bool) -> None:
@@ -195,6 +216,7 @@ def open_viewer(
 
     with Recording.open(path) as opened, tempfile.TemporaryDirectory(prefix="dssmsg-") as folder:
         frame, update = moment(opened, at)
+        warn_of_cuts(opened)
         graph = opened.graph_at(frame, update=update)
         if update is not None:
             frame = opened.frame_of_update(update)

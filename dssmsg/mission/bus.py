@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 from dssmsg.errors import StorageError
 from dssmsg.events import ErrorOccurred, Event, FrameCaptured
@@ -12,13 +13,22 @@ from dssmsg.interfaces import Observer
 _log = logging.getLogger("dssmsg.observers")
 
 
+Watching = Callable[[str, str], AbstractContextManager[None]]
+"""`watching(plugin, what)`: a watchdog looks on while inside."""
+
+
+def _unwatched(plugin: str, what: str) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
 class ObserverBus:
     """Dispatches events to observers. One that raises is disabled, and the others are told of it.
 
     A `StorageError` is not survived: a run that can no longer be written down ends.
     """
 
-    def __init__(self, observers: Sequence[tuple[str, Observer]]) -> None:
+    def __init__(self, observers: Sequence[tuple[str, Observer]], watching: Watching = _unwatched) -> None:
+        self._watching = watching
         self._active = list(observers)
         self._all = tuple(observers)
         self.failed: list[str] = []
@@ -35,14 +45,16 @@ class ObserverBus:
         broken: list[tuple[str, str]] = []
         for name, observer in list(self._active):
             try:
-                observer.on_event(event)
+                with self._watching(f"observer/{name}", "on_event"):
+                    observer.on_event(event)
             except StorageError:
                 raise
             except Exception as error:
-                _log.warning("observer %s failed and is disabled: %s", name, error, exc_info=True)
+                # Out of the list first: the warning is an event, too.
                 self._active.remove((name, observer))
                 self.failed.append(name)
                 broken.append((name, f"{type(error).__name__}: {error}"))
+                _log.warning("observer %s failed and is disabled: %s", name, error, exc_info=True)
         for name, message in broken:
             self.tell(self._error(name, message, skipped="all further events"))
 
@@ -65,8 +77,13 @@ class ObserverBus:
         """What the observers leave behind: name -> path."""
         found: dict[str, str] = {}
         for name, observer in self._all:
-            if name not in self.failed:
+            if name in self.failed:
+                continue
+            try:
                 found.update(observer.outputs())
+            except Exception as error:
+                self.failed.append(name)
+                _log.warning("observer %s does not say what it left: %s", name, error, exc_info=True)
         return found
 
     def _error(self, name: str, message: str, *, skipped: str) -> ErrorOccurred:

@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
 from typing import Any
 
+from dssmsg import checks
+from dssmsg.errors import PluginError
 from dssmsg.events import Event, LlmCalled
 from dssmsg.interfaces import Answer, Llm, Message
-from dssmsg.llm_requests import request_hash
+from dssmsg.llm_requests import request_hash, schema_faults
 
 
 class LoggedLlm:
@@ -29,7 +31,10 @@ class LoggedLlm:
         """The plug-in's answer, or its error."""
         start = perf_counter()
         try:
-            answer = self._llm.complete(role, messages, schema)
+            answer = checks.check_answer(self._llm.complete(role, messages, schema))
+            faults = schema_faults(answer.value, schema)
+            if faults:
+                raise PluginError(f"the answer does not fit: {faults[0]}", plugin=f"llm/{self._provider}")
         except Exception as error:
             self._report(role, messages, schema, start, error=f"{type(error).__name__}: {error}")
             raise

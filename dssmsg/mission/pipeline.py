@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from time import perf_counter
 
 from dssmsg import checks
-from dssmsg.events import Detected, FrameCaptured, GraphChanged, StageTimed, TruthSeen
+from dssmsg.events import Detected, FrameCaptured, GraphChanged, StageTimed, TruthSeen, WindowEvaluated
 from dssmsg.frame import Detection, Frame, Observation
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectMerged, ObjectsJoined
 from dssmsg.graph.edges import edge_changes
@@ -90,12 +90,13 @@ class Pipeline:
         viewpoint_id: str | None = None
         applied: list[Change] = []
         detected: Detected | None = None
+        windows: Sequence[WindowEvaluated] = ()
         if key:
             self.tally.key_frames += 1
             with self.stage("waypoints"):
                 viewpoint_id, changes = self._topology.observe(plain)
                 applied += self._graph.apply_all(changes, frame.index, frame.sim_time)
-            detected, changes_of_map = self._map(frame, plain, viewpoint_id)
+            detected, changes_of_map, windows = self._map(frame, plain, viewpoint_id)
             applied += changes_of_map
         with self.stage("observers"):
             self._bus.tell(FrameCaptured(plain, command, key, viewpoint_id, collisions))
@@ -103,6 +104,8 @@ class Pipeline:
                 self._bus.tell(TruthSeen(frame.index, frame.sim_time, frame.truth))
             if detected is not None:
                 self._bus.tell(detected)
+            for window in windows:
+                self._bus.tell(window)
             self._tell_changes(frame, applied)
         self._tell_times(frame)
 
@@ -133,7 +136,7 @@ class Pipeline:
 
     def _map(
         self, frame: Frame, plain: Frame, viewpoint_id: str | None
-    ) -> tuple[Detected | None, list[Change]]:
+    ) -> tuple[Detected | None, list[Change], Sequence[WindowEvaluated]]:
         plugins, guard = self._plugins, self._guard
         with self.stage("perception"):
             seen = frame if plugins.perception_needs_truth else plain
@@ -145,7 +148,7 @@ class Pipeline:
                 default=None,
             )
             if detections is None:
-                return None, []
+                return None, [], ()
         with self.stage("lift"):
             lifted = self._lifter.lift(plain, detections)
             observations = lifted.observations
@@ -182,9 +185,7 @@ class Pipeline:
                 default=UpdateResult(),
             )
             applied += self._apply(name, plain, result.changes)
-        for window in result.windows:
-            self._bus.tell(window)
-        return detected, applied
+        return detected, applied, result.windows
 
     def _apply(self, plugin: str, frame: Frame, changes: Sequence[Change]) -> list[Change]:
         """Apply a plug-in's batch, all or none; a refused batch is the plug-in's error."""

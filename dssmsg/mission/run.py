@@ -26,6 +26,7 @@ from dssmsg.events import (
 from dssmsg.frame import Frame
 from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.nodes import BELIEVED
+from dssmsg.graph.read_only import ReadOnlyGraph
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.waypoints import WaypointTopology
 from dssmsg.guard import Guard, LastWords, say_on_stderr
@@ -33,10 +34,12 @@ from dssmsg.host import Built, Host
 from dssmsg.interfaces import Command, Observer, SourceInfo
 from dssmsg.lift import Lifter
 from dssmsg.mission.bus import ObserverBus
+from dssmsg.mission.checked_encoder import CheckedEncoder
 from dssmsg.mission.drive import Driver
 from dssmsg.mission.identity import installed_versions, new_run_id
 from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
 from dssmsg.mission.llm_log import LoggedLlm
+from dssmsg.mission.log_events import logged_as_events
 from dssmsg.mission.pipeline import Pipeline, Plugins
 from dssmsg.mission.seek import Seeker
 from dssmsg.mission.survey import Surveyor
@@ -92,7 +95,7 @@ class Mission:
         self._contexts = ContextFactory(
             host,
             config.seed,
-            self.graph,
+            ReadOnlyGraph(self.graph),
             IdAllocator(),
             config.base_dir,
             Path(config.recording.directory),
@@ -107,7 +110,7 @@ class Mission:
             for kind in BUILD_ORDER:
                 built = self._build(kind)
                 if kind == "encoder":
-                    self._contexts.encoder = built.plugin
+                    self._contexts.encoder = CheckedEncoder(built.plugin, built.registration.id)
                 elif kind == "llm":
                     self._contexts.llm = LoggedLlm(
                         built.plugin, built.registration.name, lambda event: self._bus.tell(event), self._now
@@ -117,14 +120,14 @@ class Mission:
                 (name, self._build_slot("observer", slot, f"recording.observers.{name}").plugin)
                 for name, slot in config.recording.observers.items()
             ]
-        self._bus = ObserverBus([*built_observers, *observers])
         self._guard = Guard(
             config.on_error,
             config.timeout_secs,
-            self._bus.tell,
-            on_hang=self._bus.close,
+            report=lambda event: self._bus.tell(event),
+            on_hang=lambda: self._bus.close(),
             last_words=last_words,
         )
+        self._bus = ObserverBus([*built_observers, *observers], self._guard.watching)
         self._pipeline = self._make_pipeline()
         self._driver = Driver(
             config.mission.linear_speed,
@@ -140,16 +143,18 @@ class Mission:
         self._phase_state = ("", "")
         self._distance = 0.0
         self._out_of_frames = False
+        self._collisions = 0
 
     def run(self) -> RunResult:
         """Carry out all phases; the observers are closed and the source released however it ends."""
         try:
             self._bus.tell(self._start_event())
             try:
-                self._phases()
+                with logged_as_events(self._bus.tell, self._now):
+                    self._phases()
                 self._give_up_untried_goals()
             finally:
-                self._source.close()
+                self._guard.call(self._source_id, "close", self._source.close, default=None)
             summary = self._summary()
             self._bus.tell(RunFinished(*self._now(), summary))
         finally:
@@ -163,13 +168,19 @@ class Mission:
 
     # Building
 
+    @property
+    def _source_id(self) -> str:
+        return self._built["source"].registration.id
+
     def _build(self, kind: str) -> Built:
         built = self._build_slot(kind, getattr(self._config, kind), kind)
         self._built[kind] = built
         return built
 
     def _build_slot(self, kind: str, slot: Slot, key: str) -> Built:
-        return self._host.build(kind, slot, self._contexts, base_dir=self._config.base_dir, key=key)
+        built = self._host.build(kind, slot, self._contexts, base_dir=self._config.base_dir, key=key)
+        self._contexts.made[key] = built.registration
+        return built
 
     def _check_feature_space(self) -> None:
         perceived = self._built["perception"].plugin.feature_space
@@ -214,12 +225,8 @@ class Mission:
             config=self._host.resolved(self._config),
             source=self._info,
             plugins={
-                kind: {
-                    "name": built.registration.name,
-                    "version": built.registration.version,
-                    "origin": built.registration.origin,
-                }
-                for kind, built in self._built.items()
+                key: {"name": made.name, "version": made.version, "origin": made.origin}
+                for key, made in self._contexts.made.items()
             },
             versions=installed_versions(),
             parent=self._info.facts.get("parent"),
@@ -235,6 +242,8 @@ class Mission:
                 self._skip("mission", f"source {self._info.name} cannot be driven", "phase seek")
             visits = self._info.visits or 1
             for visit in range(visits):
+                if self._is_out_of_frames():
+                    break
                 self._begin("survey" if visit == 0 else "revisit", visit)
                 self._play()
                 self._end_visit()
@@ -254,7 +263,7 @@ class Mission:
         if visit != self._visit:
             with self._pipeline.stage("source"):
                 self._guard.call(
-                    self._built["source"].registration.id,
+                    self._source_id,
                     "start_visit",
                     lambda: self._source.start_visit(visit),
                 )
@@ -340,7 +349,7 @@ class Mission:
         """The next frame of the source; None at the end of the visit or of the frame budget."""
         if self._is_out_of_frames():
             return None
-        name = self._built["source"].registration.id
+        name = self._source_id
         with self._pipeline.stage("source"):
             frame: Frame | None = self._guard.call(
                 name,
@@ -366,7 +375,10 @@ class Mission:
             step = frame.world_from_base[:2, 3] - self._frame.world_from_base[:2, 3]
             self._distance += float(math.hypot(*step))
         self._frame = frame
-        self._pipeline.process(frame, command, self._source.collisions())
+        self._collisions = self._guard.call(
+            self._source_id, "collisions", self._source.collisions, check=checks.check_count
+        )
+        self._pipeline.process(frame, command, self._collisions)
 
     def _tell_state(self, frame: Frame, state: str, detail: str, target_xy: tuple[float, float]) -> None:
         if (state, detail) != self._phase_state:
@@ -404,7 +416,7 @@ class Mission:
             "episodes": [{"goal": e.goal, "outcome": e.outcome, "reason": e.reason} for e in self._episodes],
             "errors": self._bus.errors,
             "failures": dict(sorted(self._guard.errors.items())),
-            "collisions": self._source.collisions(),
+            "collisions": self._collisions,
             "out_of_frames": self._out_of_frames,
             "skipped_stops": list(self._skipped_stops),
             "distance_m": round(self._distance, 2),

@@ -31,7 +31,8 @@ class Surveyor:
     viewpoint gets several frames that are not copies of each other. The base turns towards the view
     while the pan of the mount takes up what is still missing: the gaze arrives before the base does.
 
-    A stop that the robot cannot reach is skipped after `patience` frames without progress.
+    A stop that the robot cannot reach is skipped after `patience` frames without progress, a view that it
+    cannot turn to after as many; `skipped` names them.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class Surveyor:
         self._stop = 0
         self._leg: list[tuple[float, float]] = []
         self._gazes: list[tuple[float, float]] | None = None
+        self._gaze_frames = 0
         self._best_distance = math.inf
         self._stale = 0
         self._last_heading: float | None = None
@@ -69,16 +71,26 @@ class Surveyor:
                 continue
             if self._gazes and self._is_at(frame, *self._gazes[0]):
                 at_stop = True
-                self._gazes.pop(0)
+                self._next_gaze()
+            elif self._gazes and self._gaze_frames > self._patience:
+                heading, tilt = (round(math.degrees(angle)) for angle in self._gazes[0])
+                self.skipped.append(f"view of {heading} deg, tilt {tilt} deg, at {stop.name}")
+                self._next_gaze()
             if self._gazes:
+                self._gaze_frames += 1
                 command = self._driver.gaze(frame, *self._gazes[0])
                 return SurveyStep(command, at_stop, "look", f"at {stop.name}", (stop.x, stop.y))
             self._stop += 1
             self._begin_leg()
         return SurveyStep(Command(), at_stop, "done", "", frame_xy(frame)) if at_stop else None
 
+    def _next_gaze(self) -> None:
+        assert self._gazes is not None
+        self._gazes.pop(0)
+        self._gaze_frames = 0
+
     def _begin_leg(self) -> None:
-        self._gazes = None
+        self._gazes, self._gaze_frames = None, 0
         self._best_distance, self._stale = math.inf, 0
         if self._stop < len(self._tour):
             stop = self._tour[self._stop]

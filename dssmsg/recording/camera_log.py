@@ -67,10 +67,10 @@ class CameraLog:
             ),
         )
 
-    def frame(self, event: events.FrameCaptured, stamp: Stamp) -> None:
-        """A frame's rows, images and poses."""
+    def frame(self, event: events.FrameCaptured, stamp: Stamp, updates: int) -> None:
+        """A frame's rows, images and poses; `updates` is how many changes the graph had seen before."""
         frame, book = event.frame, self._book
-        book.add(schema.FRAMES, stamp, rows.frame_row(event))
+        book.add(schema.FRAMES, stamp, rows.frame_row(event, updates))
         if event.command is not None:
             book.add(schema.COMMANDS, stamp, rows.command_row(event.command))
         book.look(schema.RGB, rr.EncodedImage, stamp, blob=encode_rgb(frame.rgb, self._images, self._quality))

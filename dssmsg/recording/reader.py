@@ -2,7 +2,8 @@
 
 It works where the simulator, Open3D and onnxruntime cannot be imported. A recording that was cut off, or
 that is still being written, is read from a repaired copy in a temporary folder, as far as it got; the
-original is never touched.
+original is never touched. Tables of such a file may end at different times: of the changes, those are told
+that can be folded (the longest beginning without a gap, with all arrays).
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ import logging
 import shutil
 import tempfile
 import weakref
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cached_property
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +27,7 @@ from dssmsg.errors import InputError
 from dssmsg.frame import Camera, Detection, Frame, Truth
 from dssmsg.graph import codec
 from dssmsg.graph.changes import Change
+from dssmsg.graph.errors import GraphError
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.interfaces.source import Command
 from dssmsg.recording import schema
@@ -33,6 +38,8 @@ from dssmsg.recording.rows import detections_from_row, truth_objects
 from dssmsg.recording.store import ChunkFile
 
 log = logging.getLogger(__name__)
+
+_RGB, _DEPTH = "EncodedImage:blob", "EncodedDepthImage:blob"
 
 Json = dict[str, Any]
 
@@ -69,10 +76,34 @@ class Recording:
         recording._check_schema()
         return recording
 
-    @property
+    @cached_property
     def complete(self) -> bool:
-        """False for a run that was killed, or is not over."""
-        return self.stored_summary is not None
+        """False for a run that was killed, or is not over, and for a copy that lacks a part."""
+        if self.stored_summary is None or self._whole:
+            return self._whole
+        last = self._file.property(schema.SUMMARY_PROPERTY).get("frame", -1)
+        return (
+            self.changes_readable == self.changes_recorded
+            and self.frames_readable == len(self.frame_indices)
+            and max(self.frame_indices, default=-1) >= int(last)
+        )
+
+    @cached_property
+    def _whole(self) -> bool:
+        """Whether the file got its index, after the run had ended: nothing is checked for absence then."""
+        return self.readable_path == self.path and self.stored_summary is not None
+
+    @contextmanager
+    def _reading(self, what: str) -> Iterator[None]:
+        """Turn whatever damaged values do to a decoder into an InputError that names the file."""
+        try:
+            yield
+        except (InputError, GraphError) as error:
+            if isinstance(error, InputError) and error.file:
+                raise
+            raise InputError(f"{what}: {error.message}", file=self.path) from error
+        except (ValueError, LookupError, TypeError, OSError, zlib.error) as error:
+            raise InputError(f"{what}: damaged ({error})", file=self.path) from error
 
     def __enter__(self) -> Recording:
         return self
@@ -102,7 +133,8 @@ class Recording:
     @cached_property
     def facts(self) -> Json:
         """Run facts: run_id, name, seed, config, plugins, versions, parent, feature_space, source, images."""
-        facts: Json = json.loads(self._file.property(schema.RUN_PROPERTY)["json"])
+        with self._reading("the run's facts"):
+            facts: Json = json.loads(self._file.property(schema.RUN_PROPERTY)["json"])
         return facts
 
     @property
@@ -134,6 +166,14 @@ class Recording:
         return sorted(self._frame_rows)
 
     @cached_property
+    def frames_readable(self) -> int:
+        """How many of the frames have their images: all, but for a recording that was cut off."""
+        if self._whole:
+            return len(self._frame_rows)
+        with_images = self._file.frames_of(schema.RGB, _RGB) & self._file.frames_of(schema.DEPTH, _DEPTH)
+        return len(with_images & self._frame_rows.keys())
+
+    @cached_property
     def key_frames(self) -> Sequence[int]:
         """Indices of the frames that perception ran on, ascending."""
         return [index for index in self.frame_indices if self._frame_rows[index]["key_frame"][0]]
@@ -141,19 +181,23 @@ class Recording:
     def frame(self, index: int, *, with_truth: bool = False) -> Frame:
         """A frame as it was captured: pose and depth exactly, colours as exactly as `images` says.
 
-        Raises InputError if there is no such frame.
+        Raises InputError if there is no such frame, or its images were cut off.
         """
         row = self._frame_rows.get(index)
-        rgb = self._file.blob(schema.RGB, "EncodedImage:blob", index)
-        depth = self._file.blob(schema.DEPTH, "EncodedDepthImage:blob", index)
-        if row is None or rgb is None or depth is None:
+        rgb = self._file.blob(schema.RGB, _RGB, index)
+        depth = self._file.blob(schema.DEPTH, _DEPTH, index)
+        if row is None:
             raise InputError(f"holds no frame {index}; its frames are {self._span()}", file=self.path)
+        if rgb is None or depth is None:
+            raise InputError(f"the images of frame {index} are missing: the file was cut off", file=self.path)
         width, height, *intrinsics = row["camera"]
+        with self._reading(f"the images of frame {index}"):
+            pixels, distances = decode_rgb(rgb), decode_depth(depth)
         return Frame(
             index=index,
             sim_time=row["sim_time"][0],
-            rgb=decode_rgb(rgb),
-            depth=decode_depth(depth),
+            rgb=pixels,
+            depth=distances,
             camera=Camera(int(width), int(height), *intrinsics),
             world_from_camera=np.array(row["world_from_camera"]).reshape(4, 4),
             world_from_base=np.array(row["world_from_base"]).reshape(4, 4),
@@ -163,7 +207,7 @@ class Recording:
         )
 
     def frames(self) -> Iterator[Frame]:
-        """All frames in order, decoded one at a time."""
+        """All frames in order, decoded one at a time. Raises InputError at one whose images were cut off."""
         return (self.frame(index) for index in self.frame_indices)
 
     def viewpoint(self, index: int) -> str | None:
@@ -202,7 +246,8 @@ class Recording:
         row = self._truth_rows.get(index)
         if row is None:
             return None
-        return Truth(decode_instances(row["instances"][0]), truth_objects(self._truth_texts[index]))
+        with self._reading(f"the truth of frame {index}"):
+            return Truth(decode_instances(row["instances"][0]), truth_objects(self._truth_texts[index]))
 
     @cached_property
     def _truth_rows(self) -> Mapping[int, Mapping[str, Any]]:
@@ -233,10 +278,11 @@ class Recording:
         row = self._detection_rows.get(index)
         if row is None:
             return None
-        count, height, width = row["mask_shape"]
-        masks = decode_masks(row["masks"][0] if row["masks"] else b"", (count, height, width))
-        cells = {**row, "label_scores": row["label_scores"][0]}
-        return detections_from_row(cells, masks, self._blobs)
+        with self._reading(f"the detections of frame {index}"):
+            count, height, width = row["mask_shape"]
+            masks = decode_masks(row["masks"][0] if row["masks"] else b"", (count, height, width))
+            cells = {**row, "label_scores": row["label_scores"][0]}
+            return detections_from_row(cells, masks, self._blobs)
 
     # The graph.
 
@@ -244,38 +290,125 @@ class Recording:
     def _blobs(self) -> Mapping[str, bytes]:
         return {row["hash"][0]: row["data"][0] for row in self._file.rows(schema.BLOBS)}
 
+    @cached_property
+    def changes_readable(self) -> int:
+        """How many changes can be folded: from the first on, without a gap, with all their arrays."""
+        table = self._file.rows(schema.GRAPH_LOG)
+        if self._whole:
+            return len(table)
+        for number, row in enumerate(table):
+            try:
+                change = codec.decode(json.loads(row["json"][0]), self._blobs)
+            except (InputError, ValueError, LookupError):
+                return number
+            if change.update != number + 1:
+                return number
+        return len(table)
+
+    @cached_property
+    def changes_recorded(self) -> int:
+        """How many changes there were, as far as anything that is left of the recording tells."""
+        rows = self._file.rows(schema.GRAPH_LOG)
+        known = [self.changes_readable, len(rows), *(before for _, before in self._updates_before)]
+        known += [json.loads(row["json"][0])["update"] for row in rows[-1:]]
+        known.append(int(self._file.property(schema.SUMMARY_PROPERTY).get("updates", 0)))
+        return max(known)
+
+    @cached_property
+    def _updates_before(self) -> Sequence[tuple[int, int]]:
+        """Frames with the number of changes before each, ascending."""
+        return [
+            (index, int(row["updates"][0])) for index, row in sorted(self._frame_rows.items()) if row["updates"]
+        ]
+
+    @cached_property
+    def last_known_frame(self) -> int | None:
+        """The last frame after which the graph is known; None if it is not even known after the first.
+
+        The last frame of all, but for a recording that was cut off.
+        """
+        last = self.frame_indices[-1] if self.frame_indices else None
+        if self.changes_readable >= self.changes_recorded:
+            return last
+        if self.changes_readable < len(rows := self._file.rows(schema.GRAPH_LOG)):
+            cut = int(json.loads(rows[self.changes_readable]["json"][0])["frame"])
+        else:
+            # A frame whose successor knows of more changes has some that are lost.
+            cut = last if last is not None else 0
+        for (index, _), (_, after) in pairwise(self._updates_before):
+            if after > self.changes_readable:
+                cut = min(cut, index)
+                break
+        return max((index for index in self.frame_indices if index < cut), default=None)
+
     def changes(self) -> Iterator[Change]:
-        """Every change of the graph, in the order of application, with its arrays."""
-        for row in self._file.rows(schema.GRAPH_LOG):
-            yield codec.decode(json.loads(row["json"][0]), self._blobs)
+        """Every change of the graph that can be folded, in the order of application, with its arrays.
+
+        Raises InputError where a finished recording is damaged.
+        """
+        with self._reading("the changes"):
+            for row in self.change_rows():
+                yield codec.decode(row, self._blobs)
 
     def change_rows(self) -> Iterator[Json]:
-        """The JSON row of every change, arrays as hashes: enough to count, search and explain."""
-        for row in self._file.rows(schema.GRAPH_LOG):
-            yield json.loads(row["json"][0])
+        """The JSON row of every such change, arrays as hashes: enough to count, search and explain."""
+        with self._reading("the changes"):
+            for row in islice(self._file.rows(schema.GRAPH_LOG), self.changes_readable):
+                yield json.loads(row["json"][0])
 
     def change_counts(self) -> dict[str, int]:
-        """How many changes of each kind there were, kinds sorted."""
+        """How many changes of each kind can be folded, kinds sorted."""
         counts: dict[str, int] = {}
-        for row in self._file.rows(schema.GRAPH_LOG):
+        for row in islice(self._file.rows(schema.GRAPH_LOG), self.changes_readable):
             counts[row["kind"][0]] = counts.get(row["kind"][0], 0) + 1
         return dict(sorted(counts.items()))
 
     def graph_at(self, frame: int | None = None, *, update: int | None = None) -> SceneGraph:
         """The graph after a frame (its changes included), after an update, or, with neither, at the end.
 
-        Equal to what the live graph was then. Raises InputError if both are given.
+        Equal to what the live graph was then; at the end of a recording that was cut off: as far as its
+        changes can be folded. Raises InputError if both are given, or the changes until then were cut off.
         """
         if frame is not None and update is not None:
             raise InputError("give a frame or an update, not both", file=self.path)
+        self._check_known(frame, update)
         graph = SceneGraph()
-        for change in self.changes():
-            if frame is not None and change.frame > frame:
-                break
-            if update is not None and change.update > update:
-                break
-            graph.apply(change)
+        with self._reading("the changes do not fold"):
+            for change in self.changes():
+                if frame is not None and change.frame > frame:
+                    break
+                if update is not None and change.update > update:
+                    break
+                graph.apply(change)
         return graph
+
+    def _check_known(self, frame: int | None, update: int | None) -> None:
+        readable, recorded = self.changes_readable, self.changes_recorded
+        if readable >= recorded or (frame is None and (update is None or update <= readable)):
+            return
+        known = self.last_known_frame
+        if frame is not None and known is not None and frame <= known:
+            return
+        until = "before the first frame" if known is None else f"until frame {known}"
+        asked = f"frame {frame}" if frame is not None else f"update {update}"
+        raise InputError(
+            f"was cut off: the graph is known {until} (update {readable} of {recorded}), not at {asked}",
+            file=self.path,
+        )
+
+    def cut_notes(self) -> list[str]:
+        """What was cut off, a line each; nothing of a recording that is whole."""
+        notes = []
+        if self.changes_readable < self.changes_recorded:
+            known = self.last_known_frame
+            until = "before the first frame" if known is None else f"until frame {known}"
+            notes.append(
+                f"{self.changes_readable} of at least {self.changes_recorded} changes can be read:"
+                f" the graph is known {until}"
+            )
+        if self.frames_readable < len(self.frame_indices):
+            notes.append(f"{self.frames_readable} of {len(self.frame_indices)} frames have their images")
+        return notes
 
     def frame_of_update(self, update: int) -> int | None:
         """The frame in which an update happened; None if there was no such update."""

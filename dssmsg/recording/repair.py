@@ -18,6 +18,9 @@ from dssmsg.errors import InputError, StorageError
 from dssmsg.recording.messages import HEADER_BYTES, MAGIC, has_footer, whole_length
 
 _OPTIMIZE_TIMEOUT_SECS = 600.0
+_CHUNK_LIMITS = ("--max-size", "512KiB", "--max-rows", "256")
+"""Chunks stand in the order of their first rows: small ones keep a file in the order of time, so that a copy
+that was cut off has the beginning of everything. A hundredth more bytes than with Rerun's own limits."""
 
 
 def check_recording(path: Path) -> None:
@@ -95,7 +98,7 @@ class _OptimizeError(Exception):
 
 def _run_optimize(source: Path, target: Path) -> None:
     """Write `source`, compacted and with a footer, to `target`; in a process of its own, for the memory."""
-    command = [str(rerun_program()), "rrd", "optimize", str(source), "-o", str(target)]
+    command = [str(rerun_program()), "rrd", "optimize", *_CHUNK_LIMITS, str(source), "-o", str(target)]
     try:
         done = subprocess.run(
             command,

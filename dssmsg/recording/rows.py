@@ -41,8 +41,8 @@ def feature_blob(feature: Float32Array) -> tuple[str, bytes]:
     return hashlib.blake2b(data, digest_size=16).hexdigest(), data
 
 
-def frame_row(event: events.FrameCaptured) -> Row:
-    """A row of `/frames`."""
+def frame_row(event: events.FrameCaptured, updates: int) -> Row:
+    """A row of `/frames`; `updates` is how many changes the graph had gone through before it."""
     frame = event.frame
     camera = frame.camera
     return {
@@ -53,6 +53,7 @@ def frame_row(event: events.FrameCaptured) -> Row:
         "key_frame": event.key_frame,
         "viewpoint": event.viewpoint_id,
         "collisions": event.collisions,
+        "updates": updates,
         "camera": [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy],
         "world_from_camera": frame.world_from_camera.ravel(),
         "world_from_base": frame.world_from_base.ravel(),

@@ -58,6 +58,7 @@ FRAMES = Table(
         "key_frame": FLAG,
         "viewpoint": TEXT,
         "collisions": WHOLE,
+        "updates": WHOLE,  # of the graph, before this frame
         "camera": REAL,  # width, height, fx, fy, cx, cy
         "world_from_camera": REAL,  # 16, row by row
         "world_from_base": REAL,

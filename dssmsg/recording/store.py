@@ -73,11 +73,22 @@ class ChunkFile:
             self._blobs[path] = _BlobColumn(list(self._batches(path)), component)
         return self._blobs[path].get(frame)
 
+    def frames_of(self, path: str, component: str) -> frozenset[int]:
+        """The frames at which an entity's component has a row; nothing is kept in memory."""
+        frames: set[int] = set()
+        for batch in self._batches(path):
+            column = batch.schema.get_field_index(FRAME)
+            if column >= 0 and component in [_component(field) for field in batch.schema]:
+                frames.update(batch.column(column).to_pylist())
+        return frozenset(frames)
+
     def _read(self, table: Table) -> Iterator[tuple[bytes, int, dict[str, Any]]]:
         components = {table.component(name): name for name in table.columns}
         for batch in self._batches(table.path):
-            ids = batch.column(batch.schema.get_field_index(_ROW_ID)).to_pylist()
-            frames = batch.column(batch.schema.get_field_index(FRAME)).to_pylist()
+            places = [batch.schema.get_field_index(name) for name in (_ROW_ID, FRAME)]
+            if min(places) < 0:
+                raise InputError(f"damaged: {table.path} has rows without a time", file=self._shown_path)
+            ids, frames = (batch.column(place).to_pylist() for place in places)
             cells: dict[str, list[Any]] = {name: [[]] * batch.num_rows for name in table.columns}
             for field, column in zip(batch.schema, batch.columns, strict=True):
                 name = components.get(_component(field) or "")

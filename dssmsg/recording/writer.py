@@ -171,7 +171,7 @@ class RecordingWriter:
 
     def _frame_captured(self, event: events.FrameCaptured) -> None:
         stamp = self._stamp(event.frame.index, event.frame.sim_time)
-        self._camera.frame(event, stamp)
+        self._camera.frame(event, stamp, self._graph.updates)
         if self._scene_waits:
             self._draw_scene(stamp)
 
@@ -314,7 +314,10 @@ class RecordingWriter:
     def _run_finished(self, event: events.RunFinished) -> None:
         self._last = (event.frame, event.sim_time)
         self._stream.send_property(
-            schema.SUMMARY_PROPERTY, rr.AnyValues(json=rows.plain_json(event.summary), frame=event.frame)
+            schema.SUMMARY_PROPERTY,
+            rr.AnyValues(
+                json=rows.plain_json(event.summary), frame=event.frame, updates=self._graph.updates
+            ),
         )
 
     # Helpers.

@@ -13,14 +13,19 @@ from dssmsg.recording.reader import Recording
 def summarize(recording: Recording) -> dict[str, Any]:
     """The summary of a run, in the shape of `run --json`, with `schema_version` and `complete`.
 
-    A finished run is told in its own words; of one that was killed, whatever its recording says is counted.
+    A finished run is told in its own words; of one that was killed or cut off, what its recording says is
+    counted: the graph as far as its changes can be folded, `changes_readable` of `changes_recorded`.
     """
-    counted = {**count(recording), "recording": str(recording.path)}
-    stored = recording.stored_summary or {}
+    stored = (recording.stored_summary or {}) if recording.complete else {}
+    notes = recording.cut_notes()
     return {
+        **count(recording),
+        **stored,
+        **({"notes": notes} if notes else {}),
         "recording": str(recording.path),
-        **counted,
-        **{name: value for name, value in stored.items() if name != "recording"},
+        "changes_readable": recording.changes_readable,
+        "changes_recorded": recording.changes_recorded,
+        "frames_readable": recording.frames_readable,
         "schema_version": schema.SCHEMA_VERSION,
         "complete": recording.complete,
     }
