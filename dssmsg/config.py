@@ -171,7 +171,9 @@ class RunConfig(BaseModel):
     grounding: Slot = Field(description="Target graph -> ranked viewpoints.")
     navigation: Slot = Field(description="Drives to a viewpoint.")
     diagnosis: tuple[Slot, ...] = Field(
-        default=(), max_length=100, description="Rules that look for the layer to blame."
+        default=(),
+        max_length=100,
+        description="Rules that look for the layer to blame; checked here, run by `dssmsg explain` once that is there.",
     )
     recording: RecordingConfig = Field(
         default_factory=RecordingConfig, description="Where the run is written down."
