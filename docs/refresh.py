@@ -7,6 +7,7 @@ Between `<!-- begin NAME -->` and `<!-- end NAME -->` stands generated text. A t
 
 from __future__ import annotations
 
+import ast
 import io
 import json
 import os
@@ -25,6 +26,7 @@ from dssmsg.host import Host
 from dssmsg.interfaces import KINDS
 
 FOLDER = Path(__file__).parent
+TESTS = FOLDER.parent / "tests"
 _BLOCK = re.compile(r"<!-- begin ([^>]+?) -->\n.*?<!-- end \1 -->", re.DOTALL)
 
 
@@ -43,12 +45,56 @@ def _generated(what: str) -> str:
     if kind == "file":
         path = Path(str(resources.files("dssmsg") / "data" / argument))
         return f"```{'yaml' if path.suffix == '.yaml' else 'python'}\n{path.read_text(encoding='utf-8')}```\n"
+    if kind == "example":
+        return f"```python\n{_example(argument)}```\n"
     if kind == "options":
         models: dict[str, type] = {"run": RunConfig, "mission": MissionConfig, "recording": RecordingConfig}
         return _table(models[argument])
     if kind == "plugins":
         return "\n".join(_plugins())
     raise ValueError(f"nobody knows how to generate {what!r}")
+
+
+def _example(kind: str) -> str:
+    """The tests' plug-in of a kind as a file of its own: its hook, and what of its module that needs."""
+    for path in (TESTS / "example_plugins.py", TESTS / "fake_plugins.py"):
+        text = path.read_text(encoding="utf-8")
+        body = ast.parse(text).body
+        needed = {f"register_{kind}"}
+        kept: dict[int, ast.stmt] = {}
+        while fresh := [node for node in body if node.lineno not in kept and _defined(node) & needed]:
+            for node in fresh:
+                kept[node.lineno] = node
+                needed |= {one.id for one in ast.walk(node) if isinstance(one, ast.Name)}
+        if not kept:
+            continue
+        blocks, after_imports = [], False
+        for node in body:
+            if isinstance(node, ast.ImportFrom):
+                node.names = [one for one in node.names if (one.asname or one.name) in needed]
+            if node.lineno in kept:
+                imported = isinstance(node, ast.Import | ast.ImportFrom)
+                first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", ()))])
+                code = (
+                    ast.unparse(node)
+                    if imported
+                    else "\n".join(text.split("\n")[first - 1 : node.end_lineno])
+                )
+                blocks.append(code if imported and not after_imports else f"\n\n{code}")
+                after_imports = after_imports or not imported
+        return "\n".join(blocks).strip() + "\n"
+    raise ValueError(f"the tests have no plug-in of the kind {kind!r}")
+
+
+def _defined(node: ast.stmt) -> set[str]:
+    """The names that a statement of a module brings into it."""
+    if isinstance(node, ast.ImportFrom) and node.module == "__future__":
+        return set()
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return {one.asname or one.name for one in node.names}
+    if isinstance(node, ast.Assign):
+        return {one.id for one in node.targets if isinstance(one, ast.Name)}
+    return {node.name} if isinstance(node, ast.ClassDef | ast.FunctionDef) else set()
 
 
 def _help(command: str) -> str:

@@ -19,11 +19,14 @@ from dssmsg.errors import ConfigError
 ENV_PREFIX = "DSSMSG__"
 MAX_INCLUDES = 50
 
+# A name that is or ends with a word for a secret. Any `*_key` is one (`openai_key`); a bare `key` is not.
 _SECRET = re.compile(
-    r"(?:^|[_-])(?:api[_-]?key|access[_-]?key|secret[_-]?key|private[_-]?key|token|password|passwd|secret|authorization)$",
+    r"(?:^|[_-])(?:token|pwd|secret|auth|authorization|bearer)$|[_-]key$"
+    r"|(?:apikey|password|passwd|passphrase|credentials?)$",
     re.IGNORECASE,
 )
-_URL_WITH_PASSWORD = re.compile(r"^[a-z][a-z0-9+.-]*://[^/@\s]*:[^/@\s]*@", re.IGNORECASE)
+_PASSWORD_IN_URL = re.compile(r"://[^/@:\s]*:[^/@\s]*@")
+_QUERY = re.compile(r"[?&]([^=?&#\s]*)=[^&#\s]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,5 +219,17 @@ def refuse_secrets(data: Any, label: str, key: str = "") -> None:
     elif isinstance(data, list):
         for index, value in enumerate(data):
             refuse_secrets(value, label, f"{key}[{index}]")
-    elif isinstance(data, str) and _URL_WITH_PASSWORD.search(data):
-        raise ConfigError("holds a password in an address; use an environment variable", file=label, key=key)
+    elif isinstance(data, str) and _secret_in_url(data):
+        raise ConfigError(
+            "holds a password or key in an address; use an environment variable", file=label, key=key
+        )
+
+
+def _secret_in_url(text: str) -> bool:
+    """Whether an address in a text has `user:password@`, or a query like `?api_key=...` or `?key=...`."""
+    if "://" not in text:
+        return False
+    names = (match[1] for match in _QUERY.finditer(text))
+    return bool(_PASSWORD_IN_URL.search(text)) or any(
+        name.lower() == "key" or _SECRET.search(name) for name in names
+    )

@@ -5,7 +5,9 @@
     ├── InputError              exit 2   an input file or folder is missing, malformed or foreign
     ├── PluginError             exit 1   a plug-in or model failed at run time
     │   └── PluginTimeout       exit 1   a plug-in hung; the watchdog ends the process
-    └── StorageError            exit 1   disk full, no permission, a file is in the way
+    ├── StorageError            exit 1   disk full, no permission, a file is in the way
+    ├── GraphError              exit 1   a change does not fit the graph (`dssmsg.graph.errors`)
+    └── ViewerError             exit 1   the viewer did not start (`dssmsg.recording.viewer`)
 
 An error is handled once, in `dssmsg.cli`. Anything that is not a `DssmsgError` keeps its traceback.
 """

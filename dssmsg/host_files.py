@@ -52,7 +52,8 @@ def find_files(path: Path, base_dir: Path, *, key: str) -> list[PluginFile]:
 def import_file(file: PluginFile) -> ModuleType:
     """Run a plug-in file as `dssmsg_user.<stem>`; no folder is put into `sys.path`.
 
-    Raises whatever the file raises, and ImportError if another file of that name was loaded for this host.
+    A module of that name that was loaded before is replaced, and comes back if this file fails. Raises
+    whatever the file raises.
     """
     package = sys.modules.get(PACKAGE)
     if package is None:

@@ -294,6 +294,35 @@ def test_two_sides_of_one_thing_join_at_the_end_of_the_visit():
         assert len(world.graph.objects) == count
 
 
+def test_nameless_pieces_and_the_papers_literal_rule_do_not_align():
+    left, right = ((1, 0, 0), (1.4, 0.5, 0.5)), ((1, 0.55, 0), (1.4, 1.0, 0.5))
+    for label, config in (
+        ("object", {}),
+        ("blob", {"unnamed_labels": ["blob"]}),
+        ("wardrobe", {"paper_exact": True}),
+    ):
+        world = World(**config)
+        world.see(observe(label, *left))
+        world.see(observe(label, *right))
+        assert world.finish() == ()
+        assert len(world.graph.objects) == 2
+
+
+@pytest.mark.parametrize("label", ["wardrobe", "object"])
+def test_at_the_end_the_contained_joins_before_what_lines_up(label):
+    world = World(delta_sim=2.0)
+    left = observe(label, (1, 0, 0), (1.4, 0.5, 0.5))
+    world.see(left)
+    world.see(dataclasses.replace(left, points_world=left.points_world + np.float32(0.026)))
+    world.see(observe(label, (1, 0.6, 0), (1.4, 1.1, 0.5)))
+    assert len(world.graph.objects) == 3
+    joins = [change for change in world.finish() if isinstance(change, ObjectsJoined)]
+    expected = [("join", "object-1", "object-2")]
+    if label != "object":
+        expected.append(("join_aligned", "object-1", "object-3"))
+    assert [(j.cause.rule, j.object_id, j.absorbed_id) for j in joins] == expected
+
+
 def test_things_back_to_back_or_askew_do_not_join_at_the_end():
     thin = (((1, 0, 1), (1.05, 0.5, 1.5)), ((1.2, 0, 1), (1.25, 0.5, 1.5)))  # two mirrors, a wall between
     askew = (((1, 0, 0), (1.4, 0.5, 0.5)), ((1.3, 0.55, 0), (1.7, 1.0, 0.5)))

@@ -12,9 +12,11 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +51,7 @@ def sequence(color: bytes = COLOR, depth: bytes | None = DEPTH, pose: str = POSE
 RGBD = FAKE_RUN.replace(
     "source: {use: fake}", "source: {use: rgbd, path: seq, intrinsics: [30, 30, 15.5, 11.5]}"
 )
+REPLAYED = FAKE_RUN.replace("source: {use: fake}", "source: {use: recording, recording: gone.rrd}")
 DETECTOR = """
 from fake_plugins import FakePerception
 import numpy as np
@@ -208,6 +211,18 @@ TABLE = [
     source("empty folder", {"seq/readme.txt": "nothing here"}, "seq"),
     source("missing depth", sequence(depth=None), "seq", "depth"),
     source("unreadable image", sequence(color=b"not a picture"), "seq"),
+    source(
+        "depth of another size",
+        sequence() | {"seq/frame-000001.depth.png": png(np.full((12, 16), 1000, np.uint16))},
+        "frame-000001.depth.png",
+        "expected 32x24 pixels, got 16x12",
+    ),
+    source(
+        "no finite number in any pose",
+        sequence(pose="inf inf inf inf\n" * 4),
+        "seq",
+        "no finite, rigid poses",
+    ),
     source("non-finite poses", sequence(pose=POSE.replace("1 0 0 0", "nan 0 0 0")), "seq", "pose"),
     source(
         "unknown layout",
@@ -249,6 +264,15 @@ TABLE = [
         ("run", "--set", "recording.directory=taken"),
         {"taken": "mine"},
     ),
+    source("recorded source is missing", {}, "gone.rrd", "there is no such recording", text=REPLAYED),
+    source(
+        "recorded source is foreign",
+        {"gone.rrd": b"hello" * 100},
+        "gone.rrd",
+        "not a recording",
+        text=REPLAYED,
+    ),
+    source("recorded source is an empty folder", {"gone.rrd/x.txt": ""}, "gone.rrd", text=REPLAYED),
     Case("init over a file", 1, ("dssmsg.yaml", "already there"), ("init",)),
 ]
 
@@ -325,6 +349,38 @@ def full_disk(tmp_path: Path) -> Iterator[Path]:
         yield place
 
 
+LIMITED = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write over the limit is then an error (EFBIG), not the end
+resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
+from dssmsg.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits on file sizes")
+@pytest.mark.parametrize("observer", ["rerun: {}", "rerun: false, jsonl: {}"])
+def test_a_write_that_fails_midway_ends_the_run_with_1(tmp_path: Path, observer: str) -> None:
+    """As on a full disk, without mounting one: no file may grow beyond 8 kB."""
+    folder = project(
+        tmp_path, {"dssmsg.yaml": FAKE_RUN.replace("rerun: false, fake: {}", observer), "mine.txt": "kept"}
+    )
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", LIMITED, "run", "--set", "source.frames=60"],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("error: recordings/")
+    assert "File too large" in last or "disk full" in last
+    assert folder.snapshot()["mine.txt"] == b"kept"
+
+
 @pytest.fixture
 def closed_directory(tmp_path: Path) -> Iterator[Path]:
     """A directory that cannot be written to, not even by root."""
@@ -354,6 +410,49 @@ def test_read_only_directory_ends_the_run_with_1(tmp_path: Path, closed_director
         assert done.code == 1
         assert "Traceback" not in done.err
         assert "closed" in done.err.splitlines()[-1]
+
+
+class StandingClock(datetime):
+    """It is always noon on the first of January 2026."""
+
+    @classmethod
+    def now(cls, tz: object = None) -> StandingClock:  # type: ignore[override]
+        return cls(2026, 1, 1, 12)
+
+
+@pytest.mark.parametrize("observer", ["rerun: {}", "rerun: false, jsonl: {}", "rerun: false, fake: {}"])
+def test_an_existing_recording_is_not_overwritten(
+    tmp_path: Path, observer: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run of the same second and name takes the next number."""
+    monkeypatch.setattr("dssmsg.mission.identity.datetime", StandingClock)
+    stem = "recordings/20260101-120000-fake"
+    taken = {f"{stem}.rrd": "mine", f"{stem}.changes.jsonl": "mine", f"{stem}-2.txt": "mine"}
+    yaml = FAKE_RUN.replace("rerun: false, fake: {}", observer)
+    folder = project(tmp_path, {"dssmsg.yaml": yaml, **taken})
+    before = folder.snapshot()
+    done = folder.run("run")
+    assert done.code == 0, done.err
+    after = folder.snapshot()
+    assert {name: after[name] for name in before} == before
+    assert {name.split(".")[0] for name in set(after) - set(before)} == {f"{stem}-3"}
+
+
+@pytest.mark.parametrize("observer", ["rerun: {}", "rerun: false, jsonl: {}"])
+def test_a_recording_that_appears_meanwhile_is_not_overwritten(
+    tmp_path: Path, observer: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two processes chose one name: the second ends with 1."""
+    monkeypatch.setattr("dssmsg.mission.run.new_run_id", lambda config: "taken")
+    taken = {"recordings/taken.rrd": "mine", "recordings/taken.changes.jsonl": "mine"}
+    yaml = FAKE_RUN.replace("rerun: false, fake: {}", observer)
+    folder = project(tmp_path, {"dssmsg.yaml": yaml, **taken})
+    before = folder.snapshot()
+    done = folder.run("run")
+    assert done.code == 1, done.err
+    assert "Traceback" not in done.err
+    assert "exists already and is not overwritten" in done.err.splitlines()[-1]
+    assert folder.snapshot() == before
 
 
 def test_environment_of_the_tests_is_clean() -> None:

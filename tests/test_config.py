@@ -313,7 +313,13 @@ def test_plain_scalars_are_what_a_user_takes_them_for() -> None:
     }
 
 
-@pytest.mark.parametrize("key", ["api_key", "apikey", "token", "access_token", "password", "client-secret"])
+SECRETS = [
+    *("api_key", "apikey", "hfapikey", "openai_key", "token", "access_token", "bearer", "auth", "basic_auth"),
+    *("password", "passwd", "pwd", "db_pwd", "passphrase", "client-secret", "credential", "gcp_credentials"),
+]
+
+
+@pytest.mark.parametrize("key", SECRETS)
 def test_secrets_are_refused_and_never_echoed(tmp_path: Path, key: str) -> None:
     path = written(tmp_path, f"llm: {{use: openai, {key}: hunter2}}\n")
     for error in (
@@ -332,14 +338,27 @@ def test_words_that_only_look_like_secrets_pass() -> None:
             "llm.max_tokens=5",
             "llm.api_key_env=MY_KEY",
             "llm.keyword=a",
-            "llm.url=http://127.0.0.1:8080/v1",
+            "llm.key=name",
+            "llm.monkey=a",
+            "llm.author=a",
+            "llm.url=http://127.0.0.1:8080/v1?version=2&max_tokens=5",
         )
     )
     assert config.llm.options["max_tokens"] == 5
 
 
-def test_password_in_an_address_is_refused() -> None:
-    error = refused(sets=("llm.url=https://me:hunter2@example.org/v1",))
+@pytest.mark.parametrize(
+    "url",
+    [
+        "https://me:hunter2@example.org/v1",
+        "https://:hunter2@example.org/v1",
+        "https://example.org/v1?api_key=hunter2",
+        "https://example.org/v1?version=2&access_token=hunter2#top",
+        "https://example.org/v1?key=hunter2",
+    ],
+)
+def test_password_in_an_address_is_refused(url: str) -> None:
+    error = refused(sets=(f"llm.url={url}",))
     assert "hunter2" not in str(error)
     assert error.key == "llm.url"
 

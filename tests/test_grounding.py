@@ -68,6 +68,19 @@ def test_core_decides_between_equal_means(floor):
     assert ground(floor, target("towel", "mirror", core=1))[0].viewpoint_id != "viewpoint-4.1"
 
 
+def test_scores_are_sums_in_double_precision(floor):
+    goal, own = np.array([1.0, 2e-8, 0.0], np.float32), np.array([0.6, 0.8, 0.0], np.float32)
+
+    class OneGoal(WordEncoder):
+        def encode_labels(self, labels):
+            return np.tile(goal, (len(labels), 1))
+
+    floor.thing("object", 0, 1, ["viewpoint-1.1"], feature=own)
+    scores = {c.viewpoint_id: c.scores["s_node"] for c in ground(floor, target("x"), OneGoal())}
+    assert scores["viewpoint-1.1"] == float(goal[0]) * float(own[0]) + float(goal[1]) * float(own[1])
+    assert scores["viewpoint-1.1"] != float(own[0])  # which is what it rounds to in single precision
+
+
 def test_own_features_of_objects_count_before_their_labels(floor):
     encoder = WordEncoder()
     tub = encoder.encode_labels(["bathtub"])[0]

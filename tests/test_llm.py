@@ -137,9 +137,11 @@ def test_a_table_of_ones_own(tmp_path):
         ("labels: [sofa]", "labels"),
         ("labels: {sofa: {moves: 3}}", "labels.sofa.moves"),
         ("labels: {sofa: {move: 0.3}}", "labels.sofa.move"),
-        ("- sofa", "file"),
+        ("- sofa", "a list of 1"),
         ("labels: {}", "labels"),
-        ("labels: {sofa: {", "no readable YAML"),
+        ("labels: {sofa: {", "not valid YAML"),
+        ("labels: {sofa: {}, sofa: {}}", "written twice"),
+        ("labels: " + "[" * 3000, "nested"),
     ],
 )
 def test_broken_tables_are_named(tmp_path, text, words):
@@ -147,12 +149,13 @@ def test_broken_tables_are_named(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(ConfigError, match=words) as caught:
         lexicon.Lexicon(lexicon.Config(file="mine.yaml"), context(tmp_path))
-    assert (caught.value.file, caught.value.key) == (str(path), "llm.file")
+    assert (caught.value.file, caught.value.key) == (str(path), ".file")
 
 
 def test_a_missing_table_is_named(tmp_path):
-    with pytest.raises(ConfigError, match="no such file"):
+    with pytest.raises(ConfigError, match="no such file") as caught:
         lexicon.Lexicon(lexicon.Config(file="none.yaml"), context(tmp_path))
+    assert caught.value.key == ".file"  # the host puts the slot before it
 
 
 # Scripted answers.
@@ -199,9 +202,16 @@ def test_answers_of_a_confused_model_fail(answer, words):
 def test_scripted_answers_from_a_file(tmp_path):
     (tmp_path / "answers.yaml").write_text(yaml.safe_dump({"target_graph": [SINK]}))
     assert understand(scripted_llm(tmp_path, file="answers.yaml"), "x")[1] == ["sink"]
-    (tmp_path / "answers.yaml").write_text("target_graph: sink")
-    with pytest.raises(ConfigError, match="target_graph"):
-        scripted_llm(tmp_path, file="answers.yaml")
+    for text, words in (
+        ("target_graph: sink", "target_graph"),
+        ("target_graph: []\ntarget_graph: []", "written twice"),
+        ("[", "not valid YAML"),
+        ("", "holds no answers"),
+    ):
+        (tmp_path / "answers.yaml").write_text(text)
+        with pytest.raises(ConfigError, match=words) as caught:
+            scripted_llm(tmp_path, file="answers.yaml")
+        assert (caught.value.file, caught.value.key) == (str(tmp_path / "answers.yaml"), ".file")
 
 
 @pytest.mark.parametrize("options", [{}, {"answers": {"target_graph": [SINK]}, "file": "x.yaml"}])

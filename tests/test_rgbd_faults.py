@@ -173,6 +173,29 @@ def test_a_clock_that_stands_still(tmp_path):
     assert len(frames(source(str(folder), rate_hz=10.0))) == 3
 
 
+@pytest.mark.parametrize("times", [[1.0, float("nan"), 3.0], [float("nan")] * 3, [1.0, 2.0, float("inf")]])
+def test_a_clock_that_is_not_finite(tmp_path, times):
+    folder = make(tmp_path, "record3d", POSES[:3])
+    metadata = json.loads((folder / "metadata").read_text())
+    metadata["frameTimestamps"] = times
+    (folder / "metadata").write_text(json.dumps(metadata))
+    with pytest.raises(InputError, match="not a finite number: give rate_hz") as caught:
+        source(str(folder))
+    assert caught.value.file == str(folder)
+
+
+@pytest.mark.parametrize("name", ["rgb.txt", "depth.txt"])
+@pytest.mark.parametrize("where", ["../other/{}", "rgb/../../other/{}", "{absolute}/{}"])
+def test_names_that_lead_out_of_the_folder_are_refused(tmp_path, name, where):
+    folder = make(tmp_path, "tum", POSES[:2])
+    time, image = (folder / name).read_text().splitlines()[-1].split()
+    bad = where.format(image, absolute=folder)
+    (folder / name).write_text(f"{time} {bad}\n")
+    with pytest.raises(InputError, match="expected names of files below its folder") as caught:
+        source(str(folder), **KNOWN)
+    assert caught.value.file == str(folder / name)
+
+
 @pytest.mark.parametrize(
     "options",
     [

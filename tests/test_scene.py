@@ -91,8 +91,12 @@ def test_a_broken_scene_file_is_refused_with_file_and_key(
 
 
 def test_yaml_that_is_no_scene_is_refused() -> None:
-    with pytest.raises(InputError, match="not valid YAML in line 2"):
+    with pytest.raises(InputError, match="line 2: not valid YAML"):
         parse_scene("name: x\nrooms: [", file="x.yaml")
+    with pytest.raises(InputError, match="the key 'name' is written twice"):
+        parse_scene("name: x\nname: y", file="x.yaml")
+    with pytest.raises(InputError, match="nested more than"):
+        parse_scene("[" * 3000 + "]" * 3000, file="x.yaml")
     with pytest.raises(InputError, match="expected a mapping"):
         parse_scene("- a list", file="x.yaml")
 

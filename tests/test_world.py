@@ -230,6 +230,16 @@ def test_changes_cost_no_rebuild_of_the_static_scene_and_keep_ids(world: World) 
     assert world.pieces["box-1"].instance_id == ids["box-1"]
 
 
+def test_bodies_are_made_in_a_fixed_order(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(world, "_add_body", lambda piece: made.append(piece.name))
+    pieces = dict(world.pieces)
+    results = iter([{}, pieces])  # all of it goes, all of it comes
+    monkeypatch.setattr("dssmsg.sim.world.changed", lambda *_: next(results))
+    world.make(world.scene.changes[:2])
+    assert made == sorted(pieces) != list(pieces)
+
+
 def test_without_the_script_nothing_changes(scene: Scene) -> None:
     world = World(scene, FurnitureLibrary.open("embedded"), CountingRenderer(), scripted=False)
     world.start_visit(1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-STAGES = ("render", "masks", "masks2", "crops", "proposals", "tune", "export", "calibrate")
+STAGES = ("render", "masks", "masks2", "masks3", "crops", "proposals", "tune", "export", "calibrate")
 SEEDS = range(540)
 
 
@@ -33,7 +33,8 @@ def run(stage: str, given: argparse.Namespace) -> None:
     """One stage; what only it needs is imported here."""
     work: Path = given.work
     shards = work / "shards"
-    first, masks, crops, tuned = (work / f"{name}.pt" for name in ("masks", "masks2", "crops", "tuned"))
+    names = ("masks", "masks2", "masks3", "crops", "tuned")
+    first, second, masks, crops, tuned = (work / f"{name}.pt" for name in names)
     if stage == "render":
         from training.render import render
 
@@ -49,7 +50,11 @@ def run(stage: str, given: argparse.Namespace) -> None:
     elif stage == "masks2":
         from training import masks as mask_stage
 
-        mask_stage.train(shards, masks, planned(mask_stage.SECOND, given.steps), begin_with=first)
+        mask_stage.train(shards, second, planned(mask_stage.SECOND, given.steps), begin_with=first)
+    elif stage == "masks3":
+        from training import masks as mask_stage
+
+        mask_stage.train(shards, masks, planned(mask_stage.THIRD, given.steps), begin_with=second)
     elif stage == "crops":
         from training import crops_train
 

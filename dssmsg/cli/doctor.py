@@ -138,7 +138,7 @@ def _renderer() -> Finding:
     return Finding(
         "renderer",
         "warn",
-        f"Open3D does not load ({reason}), TinyRenderer is taken, about six times slower; on Debian: "
+        f"Open3D does not load ({reason}), TinyRenderer is taken, about ten times slower; on Debian: "
         "apt-get install libgomp1 libgl1 libx11-6 libusb-1.0-0",
     )
 

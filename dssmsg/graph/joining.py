@@ -52,7 +52,12 @@ def contained_pieces(
 
 
 def aligned_pieces(
-    graph: GraphView, touched: Iterable[str], apart: Iterable[str], max_gap: float, max_gap_share: float
+    graph: GraphView,
+    touched: Iterable[str],
+    joined: Iterable[Join],
+    unnamed: Iterable[str],
+    max_gap: float,
+    max_gap_share: float,
 ) -> list[Join]:
     """Joins by fit: pieces of one label that line up and leave a small gap, the smallest first.
 
@@ -60,10 +65,15 @@ def aligned_pieces(
     and shade. Along one axis the pieces may be apart, by at most `max_gap` metres and `max_gap_share` of
     their joint length, between boxes as between clouds (so that thin things back to back, two mirrors on a
     wall's two sides, do not fit); along the other axes half of the shorter one must lie beside the other.
+    Pieces whose label is in `unnamed` (those of a class-agnostic perception) have no label in common and
+    never fit. `joined` are joins made just before, that the graph does not show yet: these are added to them.
     The same two never join that `contained_pieces` keeps apart.
     """
+    nameless = frozenset(unnamed)
     found = []
     for a, b in _candidates(graph, touched, max_gap):
+        if a.label in nameless:
+            continue
         overlaps = np.minimum(a.box_max, b.box_max) - np.maximum(a.box_min, b.box_min)
         axis = int(np.argmin(overlaps))
         shorter = np.minimum(a.box_max - a.box_min, b.box_max - b.box_min)
@@ -79,7 +89,8 @@ def aligned_pieces(
         if gap < limit:
             found.append(Join(a.id, b.id, gap, limit))
     found.sort(key=lambda join: join.value)
-    return _consistent(graph, found, apart)
+    before = list(joined)
+    return _consistent(graph, [*before, *found], ())[len(before) :]
 
 
 def _candidates(

@@ -69,14 +69,14 @@ def camera_view() -> rrb.Spatial2DView:
     """The colour image with the detections of key frames drawn over it."""
     return rrb.Spatial2DView(
         origin=schema.CAMERA,
-        name="Camera",
+        name="Camera (boxes at key frames)",
         contents=[schema.RGB, schema.SEGMENTATION, schema.BOXES, schema.NAMES],
     )
 
 
 def depth_view() -> rrb.Spatial2DView:
     """The depth image."""
-    return rrb.Spatial2DView(origin=schema.CAMERA, name="Depth", contents=[schema.DEPTH])
+    return rrb.Spatial2DView(origin=schema.CAMERA, name="Depth, 0 to 5 m", contents=[schema.DEPTH])
 
 
 def graph_views() -> rrb.Tabs:
@@ -95,6 +95,11 @@ def change_log_view() -> rrb.TextLogView:
         name="Changes",
         columns=rrb.archetypes.TextLogColumns(text_log_columns=["Body"]),
     )
+
+
+def mission_view() -> rrb.TextDocumentView:
+    """Phase, goal, driver's state and the episodes so far."""
+    return rrb.TextDocumentView(origin=schema.MISSION, name="Mission")
 
 
 def plots() -> rrb.Tabs:
@@ -143,9 +148,10 @@ def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
                 column_shares=[3, 2],
             ),
             rrb.Horizontal(
+                mission_view(),
                 rrb.Tabs(change_log_view(), log_view(), name="Log"),
                 plots(),
-                column_shares=[3, 2],
+                column_shares=[3, 7, 6],
             ),
             row_shares=[12, 5],
         ),
@@ -156,7 +162,9 @@ def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
 def scene_layout(eye: Eye | None = None) -> rrb.Blueprint:
     """The 3D scene, large, beside the camera: for a demonstration."""
     return rrb.Blueprint(
-        rrb.Horizontal(world_view(eye), rrb.Vertical(camera_view(), depth_view()), column_shares=[3, 1]),
+        rrb.Horizontal(
+            world_view(eye), rrb.Vertical(camera_view(), depth_view(), mission_view()), column_shares=[3, 1]
+        ),
         *_panels(),
     )
 

@@ -14,6 +14,7 @@ from dssmsg.recording.images import MEDIA_TYPES, Encoding, encode_depth, encode_
 from dssmsg.recording.sheets import SheetBook, Stamp
 
 _TRAIL_HEIGHT = (0.0, 0.0, 0.03)  # metres: just above the floor, so that it is seen
+_DEPTH_RANGE_MM = (0.0, 5000.0)  # what the colours span, the same in every frame
 _BASE_RADIUS, _BASE_HEIGHT = 0.178, 0.109  # metres: the LoCoBot's base
 
 
@@ -38,7 +39,13 @@ class CameraLog:
         """What never changes: units, colours, the robot's shape."""
         log = self._book.log_now
         log(schema.CAMERA, None, palette.camera_annotations())
-        log(schema.DEPTH, None, rr.EncodedDepthImage.from_fields(media_type="image/png", meter=1000.0))
+        log(
+            schema.DEPTH,
+            None,
+            rr.EncodedDepthImage.from_fields(
+                media_type="image/png", meter=1000.0, depth_range=_DEPTH_RANGE_MM
+            ),
+        )
         log(schema.RGB, None, rr.EncodedImage.from_fields(media_type=MEDIA_TYPES[self._images]))
         log(
             schema.TRAIL,

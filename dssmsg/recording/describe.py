@@ -5,8 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from dssmsg.graph import changes as ch
 from dssmsg.graph.changes import Change, Score
+
+_PLAIN = ("relation", "verified")  # attributes whose value says enough
+_UNTOLD = ("offset",)  # three numbers that no reader of a log wants; they are in the change
 
 
 def scores_text(scores: tuple[Score, ...]) -> str:
@@ -30,8 +35,8 @@ def change_text(change: Change) -> str:
 
 
 def change_line(change: Change) -> str:
-    """The full line: what, scores, and who by which rule."""
-    parts = (change_text(change), scores_text(change.scores), f"[{change.cause.plugin}: {change.cause.rule}]")
+    """The full line: what, who by which rule, and the scores."""
+    parts = (change_text(change), f"[{change.cause.plugin}: {change.cause.rule}]", scores_text(change.scores))
     return "  ".join(part for part in parts if part)
 
 
@@ -63,9 +68,9 @@ def _what(change: Change) -> str:
         case ch.ViewpointSeen():
             return f"{change.viewpoint_id} seen again"
         case ch.EdgeAdded():
-            return f"{change.source} -{change.edge}- {change.target} new{_attributes(change.attributes)}"
+            return f"{change.source} -{change.edge}- {change.target} new{_attributes(change)}"
         case ch.EdgeChanged():
-            return f"{change.source} -{change.edge}- {change.target}{_attributes(change.attributes)}"
+            return f"{change.source} -{change.edge}- {change.target}{_attributes(change)}"
         case ch.EdgeRemoved():
             return f"{change.source} -{change.edge}- {change.target} removed"
     return f"{change.kind} {' '.join(change.subjects)}"
@@ -78,15 +83,20 @@ def _values(values: Mapping[str, Any], before: Mapping[str, Any]) -> str:
     )
 
 
-def _attributes(attributes: Mapping[str, Any]) -> str:
-    if not attributes:
-        return ""
-    return " (" + ", ".join(f"{name} {_short(value)}" for name, value in sorted(attributes.items())) + ")"
+def _attributes(change: ch.EdgeAdded | ch.EdgeChanged) -> str:
+    """What an edge says of itself: `(next to)`. Not what the scores say, nor what is not so."""
+    told = {score.name.split("_")[0] for score in change.scores}
+    shown = [
+        value if name in _PLAIN else name if value is True else f"{name} {_short(value)}"
+        for name, value in sorted(change.attributes.items())
+        if name not in told and name not in _UNTOLD and value is not False and value is not None
+    ]
+    return f" ({', '.join(shown)})" if shown else ""
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, float):
+    if isinstance(value, float | np.floating):
         return f"{value:.3g}"
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | np.ndarray):
         return "(" + ", ".join(map(_short, value)) + ")"
     return str(value)

@@ -22,6 +22,9 @@ LABELS_UP_TO = 100
 GRAPH_SCALE = 75.0
 """Graph-view units a metre: the graph is drawn as a floor plan seen from above."""
 
+_LIFT = np.array([0.0, 0.0, 0.06], dtype=np.float32)
+"""Metres by which waypoints and the ways between them are drawn above the floor, and the trail on it."""
+
 _SPREAD_STEPS = 40
 
 SURFACE_POINTS = 30_000
@@ -78,9 +81,9 @@ def waypoints_look(graph: GraphView) -> rr.Points3D:
     """A dot a waypoint, on the floor."""
     nodes = list(graph.waypoints.values())
     return rr.Points3D(
-        np.array([node.position for node in nodes], dtype=np.float32).reshape(-1, 3),
+        np.array([node.position for node in nodes], dtype=np.float32).reshape(-1, 3) + _LIFT,
         colors=palette.WAYPOINT_COLOUR,
-        radii=rr.Radius.ui_points(5.0),
+        radii=rr.Radius.ui_points(7.0),
         labels=[node.id.removeprefix("waypoint-") for node in nodes],
         show_labels=len(nodes) <= LABELS_UP_TO,
     )
@@ -110,10 +113,11 @@ def edges_looks(graph: GraphView) -> dict[str, rr.LineStrips3D]:
         kind = "blocked" if edge.attributes.get("blocked") else edge.kind
         segments[kind].append((ends[0], ends[1]))
         names[kind].append(f"{edge.source} {edge.attributes.get('relation', edge.kind)} {edge.target}")
-    widths = {PATH: 3.0, "blocked": 3.0, NEAR: 1.2, SEES: 0.5}
+    widths = {PATH: 3.5, "blocked": 3.5, NEAR: 1.2, SEES: 0.3}
     return {
         kind: rr.LineStrips3D(
-            np.array(strips, dtype=np.float32).reshape(-1, 2, 3),
+            np.array(strips, dtype=np.float32).reshape(-1, 2, 3)
+            + (_LIFT if kind in (PATH, "blocked") else np.float32(0.0)),
             colors=palette.EDGE_COLOURS[kind],
             radii=rr.Radius.ui_points(widths[kind]),
             labels=names[kind],
@@ -121,6 +125,26 @@ def edges_looks(graph: GraphView) -> dict[str, rr.LineStrips3D]:
         )
         for kind, strips in segments.items()
     }
+
+
+def seen_now(graph: GraphView, viewpoint_id: str | None) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """The ends (3,) of the `sees` edges of a viewpoint."""
+    viewpoint = graph.viewpoints.get(viewpoint_id or "")
+    if viewpoint is None:
+        return ()
+    spot = viewpoint.world_from_camera[:3, 3]
+    edges = (edge for edge in graph.edges_of(viewpoint.id, SEES) if edge.source == viewpoint.id)
+    ends = (place(graph, edge.target) for edge in edges)
+    return tuple((spot, end) for end in ends if end is not None)
+
+
+def seen_now_look(segments: Sequence[tuple[FloatArray, FloatArray]]) -> rr.LineStrips3D:
+    """The `sees` edges of the viewpoint where the robot is, over the faint ones of all."""
+    return rr.LineStrips3D(
+        np.array(segments, dtype=np.float32).reshape(-1, 2, 3),
+        colors=palette.SEEN_NOW_COLOUR,
+        radii=rr.Radius.ui_points(0.8),
+    )
 
 
 def place(graph: GraphView, node_id: str) -> FloatArray | None:

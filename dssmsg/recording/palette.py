@@ -21,10 +21,11 @@ OBJECT_CLASSES: dict[str, tuple[int, str, Colour]] = {
 
 EDGE_COLOURS: dict[str, tuple[int, ...]] = {
     PATH: (90, 220, 160),
-    SEES: (235, 200, 90, 70),  # there are many of them
+    SEES: (58, 55, 44),  # there are many: just above the background; `SEEN_NOW_COLOUR` for those that matter
     NEAR: (110, 150, 240),
     "blocked": (240, 70, 70),
 }
+SEEN_NOW_COLOUR: Colour = (235, 200, 90)
 WAYPOINT_COLOUR: Colour = (90, 220, 160)
 VIEWPOINT_COLOUR: Colour = (150, 200, 175)
 ROBOT_COLOUR: Colour = (245, 245, 245)

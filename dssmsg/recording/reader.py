@@ -318,7 +318,9 @@ class Recording:
     def _updates_before(self) -> Sequence[tuple[int, int]]:
         """Frames with the number of changes before each, ascending."""
         return [
-            (index, int(row["updates"][0])) for index, row in sorted(self._frame_rows.items()) if row["updates"]
+            (index, int(row["updates"][0]))
+            for index, row in sorted(self._frame_rows.items())
+            if row["updates"]
         ]
 
     @cached_property
@@ -389,7 +391,7 @@ class Recording:
         known = self.last_known_frame
         if frame is not None and known is not None and frame <= known:
             return
-        until = "before the first frame" if known is None else f"until frame {known}"
+        until = "at no frame" if known is None else f"until frame {known}"
         asked = f"frame {frame}" if frame is not None else f"update {update}"
         raise InputError(
             f"was cut off: the graph is known {until} (update {readable} of {recorded}), not at {asked}",
@@ -401,7 +403,7 @@ class Recording:
         notes = []
         if self.changes_readable < self.changes_recorded:
             known = self.last_known_frame
-            until = "before the first frame" if known is None else f"until frame {known}"
+            until = "at no frame" if known is None else f"until frame {known}"
             notes.append(
                 f"{self.changes_readable} of at least {self.changes_recorded} changes can be read:"
                 f" the graph is known {until}"

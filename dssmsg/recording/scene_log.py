@@ -35,8 +35,19 @@ class SceneLog:
         self._send(schema.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._send(schema.WORLD, palette.world_annotations(), static=True)
 
-    def update(self, graph: GraphView, frame: int, sim_time: float, *, everything: bool = False) -> bool:
-        """Send what changed; True if something that may wait was left for a later call."""
+    def update(
+        self,
+        graph: GraphView,
+        frame: int,
+        sim_time: float,
+        *,
+        viewpoint: str | None = None,
+        everything: bool = False,
+    ) -> bool:
+        """Send what changed; True if something that may wait was left for a later call.
+
+        What the `viewpoint` sees is drawn in full colour.
+        """
         self._stream.set_time(schema.FRAME, sequence=max(frame, 0))
         self._stream.set_time(schema.SIM_TIME, duration=max(sim_time, 0.0))
         objects = _objects_signature(graph)
@@ -46,6 +57,9 @@ class SceneLog:
         self._draw(schema.WAYPOINTS, places[0], lambda: looks.waypoints_look(graph))
         self._draw(schema.VIEWPOINTS, places[1], lambda: looks.viewpoints_look(graph))
         self._draw(schema.HISTORY, tuple(graph.history), lambda: looks.history_look(graph))
+        now = looks.seen_now(graph, viewpoint)
+        ends = tuple((start.tobytes(), end.tobytes()) for start, end in now)
+        self._draw(schema.SEEN_NOW, ends, lambda: looks.seen_now_look(now))
         if not everything and sim_time < self._slow_due:
             return True
         self._slow_due = sim_time + SLOW_PERIOD

@@ -21,6 +21,7 @@ from dssmsg.recording.blueprint import eye_over, review_layout
 from dssmsg.recording.camera_log import CameraLog
 from dssmsg.recording.images import Encoding
 from dssmsg.recording.messages import MessageFile
+from dssmsg.recording.mission_card import MissionCard
 from dssmsg.recording.scene_log import SceneLog
 from dssmsg.recording.sheets import SheetBook, Stamp, path_part
 
@@ -65,6 +66,8 @@ class RecordingWriter:
         self._graph = SceneGraph()
         self._scene = SceneLog(self._stream)
         self._scene_waits = False
+        self._viewpoint: str | None = None
+        self._card = MissionCard()
         self._candidate_rows = 0
         self._last = (0, 0.0)
         self._writers: dict[type, Callable[[Any], None]] = {
@@ -106,7 +109,7 @@ class RecordingWriter:
         try:
             if not self._file.closed:
                 if self._scene_waits:
-                    self._scene.update(self._graph, *self._last, everything=True)
+                    self._scene.update(self._graph, *self._last, viewpoint=self._viewpoint, everything=True)
                 self.flush()
         finally:
             self._file.close()
@@ -168,10 +171,13 @@ class RecordingWriter:
         )
         self._book.look(schema.PHASE_STATE, rr.StateChange, stamp, state=event.phase)
         self._book.text(f"{schema.LOG}/run", stamp, f"phase {event.phase}, visit {event.visit}", "INFO")
+        self._card.phase_started(event)
+        self._show_mission(stamp)
 
     def _frame_captured(self, event: events.FrameCaptured) -> None:
         stamp = self._stamp(event.frame.index, event.frame.sim_time)
         self._camera.frame(event, stamp, self._graph.updates)
+        self._viewpoint = event.viewpoint_id or self._viewpoint
         if self._scene_waits:
             self._draw_scene(stamp)
 
@@ -243,6 +249,8 @@ class RecordingWriter:
         else:
             text = f"“{event.query}” matches nothing"
         self._book.text(f"{schema.LOG}/match", stamp, text, "INFO")
+        self._card.matched(event)
+        self._show_mission(stamp)
 
     def _llm_called(self, event: events.LlmCalled) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
@@ -274,6 +282,8 @@ class RecordingWriter:
         )
         if event.detail:
             self._book.text(f"{schema.LOG}/nav", stamp, f"{event.state}: {event.detail}", "INFO")
+        self._card.navigation_changed(event)
+        self._show_mission(stamp)
 
     def _episode_ended(self, event: events.EpisodeEnded) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
@@ -282,6 +292,8 @@ class RecordingWriter:
         self._book.text(
             f"{schema.LOG}/run", stamp, f"{text}, {event.reason}" if event.reason else text, "INFO"
         )
+        self._card.episode_ended(event)
+        self._show_mission(stamp)
 
     def _error_occurred(self, event: events.ErrorOccurred) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
@@ -315,9 +327,7 @@ class RecordingWriter:
         self._last = (event.frame, event.sim_time)
         self._stream.send_property(
             schema.SUMMARY_PROPERTY,
-            rr.AnyValues(
-                json=rows.plain_json(event.summary), frame=event.frame, updates=self._graph.updates
-            ),
+            rr.AnyValues(json=rows.plain_json(event.summary), frame=event.frame, updates=self._graph.updates),
         )
 
     # Helpers.
@@ -329,4 +339,10 @@ class RecordingWriter:
         return Stamp(frame, sim_time, update=update, row=row)
 
     def _draw_scene(self, stamp: Stamp) -> None:
-        self._scene_waits = self._scene.update(self._graph, stamp.frame, stamp.sim_time)
+        self._scene_waits = self._scene.update(
+            self._graph, stamp.frame, stamp.sim_time, viewpoint=self._viewpoint
+        )
+
+    def _show_mission(self, stamp: Stamp) -> None:
+        text = self._card.text()
+        self._book.look(schema.MISSION, rr.TextDocument, stamp, text=text, media_type="text/markdown")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
+from dssmsg.errors import InputError
 from dssmsg.frame import FloatArray
 
 Intrinsics = tuple[float, float, float, float]
@@ -57,6 +58,18 @@ class Sequence:
     raw_depth_size: tuple[int, int] | None = None
     depth_noise_m: tuple[float, float] = (0.0012, 0.002)
     published_size: tuple[int, int] | None = None
+
+
+def listed_name(name: str, file: Path) -> str:
+    """A file name that a list says, for use below the list's folder.
+
+    Raises InputError naming the list for an absolute name or one with `..`: what a data set says must not
+    lead out of its folder.
+    """
+    path = PurePath(name)
+    if path.is_absolute() or ".." in path.parts:
+        raise InputError(f"expected names of files below its folder, got {name[:200]!r}", file=file)
+    return name
 
 
 def file_number(path: Path) -> int | None:

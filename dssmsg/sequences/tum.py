@@ -13,7 +13,7 @@ import numpy as np
 from dssmsg.errors import InputError
 from dssmsg.frame import FloatArray
 from dssmsg.sequences.poses import from_quaternion, parse_numbers, read_text
-from dssmsg.sequences.sequence import Intrinsics, Sequence, View
+from dssmsg.sequences.sequence import Intrinsics, Sequence, View, listed_name
 
 NAME = "tum"
 SIGNATURE = "rgb.txt, depth.txt, groundtruth.txt"
@@ -75,7 +75,7 @@ def _read_list(path: Path) -> tuple[FloatArray, list[str]]:
         raise InputError("expected lines of a time and a file name", file=path)
     times = parse_numbers(" ".join(row[0] for row in rows), path)
     order = np.argsort(times, kind="stable")
-    return times[order], [rows[i][1] for i in order]
+    return times[order], [listed_name(rows[i][1], path) for i in order]
 
 
 def _read_trajectory(path: Path) -> tuple[FloatArray, FloatArray]:

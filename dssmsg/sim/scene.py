@@ -13,30 +13,17 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from dssmsg.config_yaml import MAX_BYTES, parse_yaml
 from dssmsg.errors import ConfigError, InputError
 
-MAX_SCENE_BYTES = 2_000_000
 STOCK_SCENES = ("rs_int", "ihlen_1_int")
 Side = Literal["north", "east", "south", "west"]
 Interval = tuple[float, float]
 Color = tuple[int, int, int]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 PieceId = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*-[0-9]+$", max_length=60)]
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML whose only truth values are true and false, so that `on: table-1` keeps its key."""
-
-
-_BOOL = "tag:yaml.org,2002:bool"
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag != _BOOL]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver(_BOOL, re.compile(r"^(?:true|false)$"), ["t", "f"])
 
 
 class _Part(BaseModel):
@@ -321,8 +308,8 @@ def load_scene(name: str, *, base_dir: Path | None = None) -> Scene:
     path = Path(name)
     path = path if path.is_absolute() else (base_dir or Path.cwd()) / path
     try:
-        if path.stat().st_size > MAX_SCENE_BYTES:
-            raise InputError(f"larger than {MAX_SCENE_BYTES} bytes", file=path, key="source.scene")
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"larger than {MAX_BYTES:,} bytes", file=path, key="source.scene")
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError("no such scene file", file=path, key="source.scene") from None
@@ -334,11 +321,9 @@ def load_scene(name: str, *, base_dir: Path | None = None) -> Scene:
 def parse_scene(text: str, *, file: Path | str) -> Scene:
     """A scene from YAML text; InputError names the first wrong key of `file`."""
     try:
-        data = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"not valid YAML{line}: {getattr(error, 'problem', error)}", file=file) from None
+        data = parse_yaml(text, file=file)  # in which `on: table-1` keeps its key
+    except ConfigError as error:
+        raise InputError(error.message, file=file) from None
     if not isinstance(data, dict):
         raise InputError("expected a mapping with rooms, doors, furniture, tour, ...", file=file)
     try:

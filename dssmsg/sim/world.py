@@ -82,7 +82,7 @@ class World:
         made = False
         for change in changes:
             after = changed(self.pieces, change, self.placer)
-            for name in set(self.pieces) | set(after):
+            for name in sorted(set(self.pieces) | set(after)):
                 if self.pieces.get(name) is not after.get(name):
                     if name in self._bodies:
                         self._physics.remove(self._bodies.pop(name))

@@ -47,7 +47,7 @@ class DssmConfig(PluginConfig):
         1.1, ge=0, le=2, description="delta_sim: below this s = s_geo + s_sem (0..2) it is a new object."
     )
     paper_exact: bool = Field(
-        False, description="The paper's literal rule: s alone decides, without the `merge_min_` pair."
+        False, description="The paper's literal rule: s alone decides; no `merge_min_` pair, no `join_gap`."
     )
     merge_min_semantic: float = Field(
         0.9, ge=0, le=1, description="A merge needs this s_sem, or else `merge_min_overlap`."
@@ -144,7 +144,7 @@ class DssmAssociation:
         matched = {pair.object_id for pair in chosen if pair is not None}
         self._key_frames += 1
         due = self._key_frames % self._config.merge_every == 0
-        joins = self._joins(matched) if due else []
+        joins = [_joined(join, "join", "containment") for join in self._contained(matched)] if due else []
         into, standings = self._after(joins)
         changes: list[Change] = [*joins]
         for observation, pairs, pair in zip(observations, scored, chosen, strict=True):
@@ -169,6 +169,7 @@ class DssmAssociation:
     def finish(self) -> Sequence[Change]:
         """A merge pass over the visit; what is not confirmed stays in the graph as tentative.
 
+        What one cloud holds of another comes first, by the frames since the last pass; then what lines up.
         By now two pieces of one label that line up, of which no frame of the visit saw both, are more likely
         two sides of one thing (a wardrobe from the left and from the right of the bed) than neighbours.
         """
@@ -339,24 +340,24 @@ class DssmAssociation:
             terms.append(Score("overlap", pair.overlap, self._config.merge_min_overlap))
         return tuple(terms)
 
-    def _joins(self, matched: set[str]) -> list[ObjectsJoined]:
+    def _contained(self, matched: set[str]) -> list[Join]:
         """The merge pass over what was touched since the last one; this frame tells `matched` apart."""
         touched, self._touched = self._touched | matched, set()
         config = self._config
-        found = contained_pieces(
-            self._graph, touched, matched, config.join_containment, config.join_tolerance
-        )
-        return [_joined(join, "join", "containment") for join in found]
+        return contained_pieces(self._graph, touched, matched, config.join_containment, config.join_tolerance)
 
     def _end_joins(self) -> list[ObjectsJoined]:
-        """The merge pass at the end of a visit, over all of it: what lines up (the contained does, too)."""
+        """The merge pass at the end of a visit, then, over all of the visit, what lines up."""
         config = self._config
         visited, self._visited = self._visited, set()
-        if config.join_gap == 0.0:
-            return self._joins(set())
-        self._touched = set()
-        found = aligned_pieces(self._graph, visited, (), config.join_gap, config.join_gap_share)
-        return [_joined(join, "join_aligned", "gap") for join in found]
+        contained = self._contained(set())
+        joins = [_joined(join, "join", "containment") for join in contained]
+        if config.join_gap == 0.0 or config.paper_exact:
+            return joins
+        aligned = aligned_pieces(
+            self._graph, visited, contained, self._unnamed, config.join_gap, config.join_gap_share
+        )
+        return [*joins, *(_joined(join, "join_aligned", "gap") for join in aligned)]
 
     def _after(self, joins: Sequence[ObjectsJoined]) -> tuple[dict[str, str], dict[str, _Standing]]:
         """Where each absorbed object ends up, and the standings of those that absorbed some."""

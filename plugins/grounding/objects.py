@@ -50,9 +50,9 @@ class ObjectsGrounding:
         if not objects or not target.nodes:
             return ()
         column = {object_id: place for place, object_id in enumerate(objects)}
-        cosine = (
-            self._encoder.encode_labels([n.label for n in target.nodes]) @ self._features(objects.values()).T
-        )
+        wanted = self._encoder.encode_labels([n.label for n in target.nodes]).astype(np.float64)
+        # einsum adds in a fixed order; the order of BLAS depends on threads and processor.
+        cosine = np.einsum("id,jd->ij", wanted, self._features(objects.values()).astype(np.float64))
         ranking = []
         for viewpoint, nodes in seen.items():
             if not nodes:
@@ -75,8 +75,8 @@ class ObjectsGrounding:
                 scores=values,
                 matching={str(row): node.id for row, node in enumerate(chosen)},
                 reason="; ".join(
-                    f"{wanted.label}: {node.label} ({node.id}) {score:.2f}"
-                    for wanted, node, score in zip(target.nodes, chosen, scores, strict=True)
+                    f"{sought.label}: {node.label} ({node.id}) {score:.2f}"
+                    for sought, node, score in zip(target.nodes, chosen, scores, strict=True)
                 ),
             )
             for rank, (_order, viewpoint, values, scores, chosen) in enumerate(ranking, start=1)

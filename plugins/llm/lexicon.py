@@ -14,9 +14,9 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from dssmsg.config_yaml import parse_yaml, read_yaml
 from dssmsg.errors import ConfigError, PluginError
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.llm import Answer, Message
@@ -209,22 +209,18 @@ def _singular(word: str) -> str:
 
 def _read_table(path: Path | None) -> _Table:
     """The table of a file, or the packaged one. Raises ConfigError naming the file and the key."""
-    if path is None:
-        source: Any = resources.files("dssmsg") / "data" / "lexicon.yaml"
-    else:
-        source = path
     try:
-        return _Table.model_validate(yaml.safe_load(source.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ConfigError("there is no such file", file=path, key="llm.file") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(
-            f"is no readable YAML ({type(error).__name__})", file=path, key="llm.file"
-        ) from None
+        if path is None:
+            packaged = resources.files("dssmsg") / "data" / "lexicon.yaml"
+            return _Table.model_validate(parse_yaml(packaged.read_text("utf-8"), file="lexicon.yaml"))
+        return _Table.model_validate(read_yaml(path))
+    except ConfigError as error:
+        error.key = ".file"
+        raise
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "file"
-        raise ConfigError(f"{place}: {first['msg']}", file=path, key="llm.file") from None
+        raise ConfigError(f"{place}: {first['msg']}", file=path, key=".file") from None
 
 
 @hookimpl

@@ -10,9 +10,9 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import yaml
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
+from dssmsg.config_yaml import read_yaml
 from dssmsg.errors import ConfigError, PluginError
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.llm import Answer, Message
@@ -70,17 +70,17 @@ class Scripted:
 def _read(name: str, context: Context) -> _Script:
     path = context.base_dir / name
     try:
-        return TypeAdapter(_Script).validate_python(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ConfigError("there is no such file", file=path, key="llm.file") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(
-            f"is no readable YAML ({type(error).__name__})", file=path, key="llm.file"
-        ) from None
+        script = read_yaml(path)
+        if not script:
+            raise ConfigError("holds no answers", file=path)
+        return TypeAdapter(_Script).validate_python(script)
+    except ConfigError as error:
+        error.key = ".file"
+        raise
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "file"
-        raise ConfigError(f"{place}: {first['msg']}", file=path, key="llm.file") from None
+        raise ConfigError(f"{place}: {first['msg']}", file=path, key=".file") from None
 
 
 @hookimpl

@@ -117,6 +117,8 @@ class _Visit:
         clock = [time for time in stamps if time is not None]
         times = clock if len(clock) == len(usable) else [place / rate for place, _shot, _time in usable]
         self.times = tuple(time - times[0] for time in times)
+        if not np.isfinite(self.times).all():
+            raise InputError("a frame's time is not a finite number: give rate_hz", file=sequence.folder)
         steps = np.diff(self.times)
         if (steps <= 0).any():
             raise InputError("the times of the frames do not increase: give rate_hz", file=sequence.folder)

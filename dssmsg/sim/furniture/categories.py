@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-import yaml
-
+from dssmsg.config_yaml import parse_yaml
 from dssmsg.errors import InputError
 
 TABLE = "data/furniture/categories.yaml"
@@ -49,7 +48,7 @@ def canonical(category: str) -> str:
 def load_categories() -> Mapping[str, Category]:
     """The packaged table, by canonical name. Raises InputError for a row that is not complete."""
     text = resources.files("dssmsg").joinpath(TABLE).read_text("utf-8")
-    rows = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    rows = parse_yaml(text, file=TABLE)
     return {name: _category(name, row) for name, row in rows.items()}
 
 
