@@ -173,7 +173,7 @@ class RunConfig(BaseModel):
     diagnosis: tuple[Slot, ...] = Field(
         default=(),
         max_length=100,
-        description="Rules that look for the layer to blame; checked here, run by `dssmsg explain` once that is there.",
+        description="Rules that look for the layer to blame: validated, and not run yet.",
     )
     recording: RecordingConfig = Field(
         default_factory=RecordingConfig, description="Where the run is written down."

@@ -15,14 +15,19 @@ from hypothesis import strategies as st
 from recorded_run import SyntheticRun, record
 from rerun.chunk import RrdReader
 
+from dssmsg import events as ev
 from dssmsg.cli import main
 from dssmsg.errors import ConfigError
+from dssmsg.graph import changes as ch
+from dssmsg.graph.changes import Cause, Score
 from dssmsg.graph.codec import graph_from_json
 from dssmsg.graph.compare import same
 from dssmsg.graph.nodes import NEAR, PATH, SEES
 from dssmsg.recording import blueprint, describe, looks, palette, schema
+from dssmsg.recording.mission_card import MissionCard
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.scene_log import SceneLog
+from dssmsg.review.text import _error_lines
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +45,8 @@ def test_every_entity_of_the_layouts_is_filled(path: Path) -> None:
     shown = {
         schema.RGB, schema.DEPTH, schema.SEGMENTATION, schema.BOXES, schema.NAMES, schema.OBJECTS,
         schema.LABELS, schema.WAYPOINTS, schema.VIEWPOINTS, schema.SURFACE, schema.TRAIL, schema.ROBOT,
-        schema.PHASE_STATE, schema.NAV_STATE, f"{schema.LOG}/graph", f"{schema.LOG}/run",
+        schema.PHASE_STATE, schema.NAV_STATE, schema.MISSION, schema.SEEN_NOW,
+        f"{schema.LOG}/graph", f"{schema.LOG}/run",
         *(f"{schema.EDGES}/{kind}" for kind in palette.EDGE_COLOURS),
         *(f"{schema.GRAPH}/{name}" for name in ("map", "all", PATH, SEES, NEAR)),
         f"{schema.PLOTS}/objects/believed", f"{schema.PLOTS}/changes/merges",
@@ -116,6 +122,60 @@ def test_lines_say_what_and_by_which_numbers(run: SyntheticRun) -> None:
     assert any("status: tentative -> believed" in line for line in lines)
     assert any("-near-" in line and "next to" in line for line in lines)
     assert all(change.subjects[0] in line for change, line in zip(run.told, lines, strict=True))
+
+
+def test_lines_are_short_and_say_nothing_twice() -> None:
+    change = ch.EdgeAdded(
+        cause=Cause("graph/edges", "near"),
+        scores=(Score("distance_m", 0.40512, 0.5),),
+        edge="near",
+        source="object-3",
+        target="object-4",
+        attributes={"distance": 0.40512, "offset": [-0.05732065, 0.2, 0.1], "relation": "next to"},
+    )
+    line = describe.change_line(change)
+    assert line == "object-3 -near- object-4 new (next to)  [graph/edges: near]  distance_m 0.405 (< 0.5)"
+
+
+def test_what_the_current_viewpoint_sees_stands_out(run: SyntheticRun) -> None:
+    viewpoint = next(iter(run.live.viewpoints))
+    seen = [edge for edge in run.live.edges.values() if edge.kind == SEES and edge.source == viewpoint]
+    assert len(looks.seen_now(run.live, viewpoint)) == len(seen) > 0
+    assert looks.seen_now(run.live, None) == ()
+    assert looks.seen_now(run.live, "viewpoint-99.9") == ()
+
+
+def test_the_mission_page_says_goal_state_and_outcome() -> None:
+    card = MissionCard()
+    assert "not begun" in card.text()
+    card.phase_started(ev.PhaseStarted("seek", 1, 30, 6.0))
+    best = ev.Candidate("viewpoint-4.2", 1, {}, {}, "bed 1.00")
+    card.matched(ev.Matched("a place to sleep", 30, 6.0, {}, (best,)))
+    card.navigation_changed(ev.NavigationChanged(31, 6.2, "drive", "to waypoint-3", ("waypoint-3",)))
+    page = card.text()
+    for words in ("seek, visit 1", "“a place to sleep”", "viewpoint-4.2 (bed 1.00)", "drive: to waypoint-3"):
+        assert words in page
+    for number in range(20):
+        card.episode_ended(ev.EpisodeEnded(number, f"goal {number}", "failure", "blocked", 40, 8.0))
+    page = card.text()
+    assert "0 of 20 succeeded" in page
+    assert "“goal 19”: **failure** (blocked)" in page
+    assert "a place to sleep" not in page
+    assert len(page) < 1000
+
+
+def test_the_same_failures_are_told_together() -> None:
+    def error(frame: int, message: str) -> dict[str, Any]:
+        return {"frame": frame, "plugin": "perception/x", "message": message, "skipped": "detect"}
+
+    errors = [*(error(frame, "NaN") for frame in (0, 1, 2, 3, 5, 6, 9)), error(4, "slow")]
+    assert _error_lines(errors) == [
+        "frames 0-3, 5-6, 9 (7 times): perception/x: NaN; skipped: detect",
+        "frame 4: perception/x: slow; skipped: detect",
+    ]
+    many = _error_lines([error(frame, "NaN") for frame in range(0, 100, 2)])
+    assert len(many) == 1
+    assert "and 42 more spans (50 times)" in many[0]
 
 
 def test_layouts_look_at_the_map_or_at_a_node(run: SyntheticRun, tmp_path: Path) -> None:

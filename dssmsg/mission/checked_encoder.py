@@ -11,7 +11,7 @@ from dssmsg.interfaces import Encoder
 
 
 class CheckedEncoder:
-    """Forwards to an `encoder` plug-in; raises PluginError naming it where vectors are missing or not unit."""
+    """Forwards to an `encoder` plug-in; PluginError naming it where vectors are missing or not unit."""
 
     def __init__(self, encoder: Encoder, plugin: str) -> None:
         self._encoder = encoder

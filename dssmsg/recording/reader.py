@@ -166,12 +166,17 @@ class Recording:
         return sorted(self._frame_rows)
 
     @cached_property
-    def frames_readable(self) -> int:
-        """How many of the frames have their images: all, but for a recording that was cut off."""
+    def readable_frame_indices(self) -> Sequence[int]:
+        """Indices of the frames that have their images: all, but for a recording that was cut off."""
         if self._whole:
-            return len(self._frame_rows)
+            return self.frame_indices
         with_images = self._file.frames_of(schema.RGB, _RGB) & self._file.frames_of(schema.DEPTH, _DEPTH)
-        return len(with_images & self._frame_rows.keys())
+        return sorted(with_images & self._frame_rows.keys())
+
+    @property
+    def frames_readable(self) -> int:
+        """How many of the frames have their images."""
+        return len(self.readable_frame_indices)
 
     @cached_property
     def key_frames(self) -> Sequence[int]:

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 MAX_ERRORS = 20
+MAX_SPANS = 8
 
 
 def summary_text(summary: Mapping[str, Any], errors: Sequence[Mapping[str, Any]] = ()) -> str:
-    """One fact a line; `errors` are told one a line. What a summary does not hold is left out."""
+    """One fact a line, equal `errors` together in one. What a summary does not hold is left out."""
     rows: list[tuple[str, Any]] = [
         ("recording", summary.get("recording") or "none (no observer wrote one)"),
         (
@@ -28,11 +29,7 @@ def summary_text(summary: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]
     states = "".join(f", {number} {state}" for state, number in summary.get("states", {}).items())
     rows += [
         ("frames", f"{summary['frames']} ({summary['key_frames']} key frames)"),
-        (
-            "objects",
-            f"{summary['objects']} ({summary['tentative']} more tentative)"
-            + (f": {states}" if states else ""),
-        ),
+        ("objects", f"{summary['objects']} ({summary['tentative']} more tentative){states}"),
         ("waypoints", f"{summary['waypoints']} with {summary['viewpoints']} viewpoints"),
         ("changes", ", ".join(f"{kind} {number}" for kind, number in summary["changes"].items()) or "none"),
         *(("episode", _episode(episode)) for episode in summary["episodes"]),
@@ -43,9 +40,10 @@ def summary_text(summary: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]
         rows.append(("skipped", ", ".join(summary["skipped_stops"])))
     failures = "".join(f", {plugin} failed {n} times" for plugin, n in summary.get("failures", {}).items())
     rows.append(("errors", f"{summary['errors']}{failures}"))
-    rows += [("", _error(error)) for error in errors[:MAX_ERRORS]]
-    if len(errors) > MAX_ERRORS:
-        rows.append(("", f"... and {len(errors) - MAX_ERRORS} more"))
+    lines = _error_lines(errors)
+    rows += [("", line) for line in lines[:MAX_ERRORS]]
+    if len(lines) > MAX_ERRORS:
+        rows.append(("", f"... and {len(lines) - MAX_ERRORS} more"))
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     rows.append(("seconds", seconds or "not timed"))
     return "\n".join(f"{name:<11}{value}" for name, value in rows)
@@ -56,6 +54,24 @@ def _episode(episode: Mapping[str, Any]) -> str:
     return f"{episode['goal']}: {episode['outcome']}{reason}"
 
 
-def _error(error: Mapping[str, Any]) -> str:
-    skipped = f"; skipped: {error['skipped']}" if error["skipped"] else ""
-    return f"frame {error['frame']}: {error['plugin']}: {error['message']}{skipped}"
+def _error_lines(errors: Sequence[Mapping[str, Any]]) -> list[str]:
+    """`frames 0-3, 5: perception/x: ...`: a line for each failure of its own, by its first frame."""
+    frames: dict[str, list[int]] = {}
+    for error in errors:
+        skipped = f"; skipped: {error['skipped']}" if error["skipped"] else ""
+        frames.setdefault(f"{error['plugin']}: {error['message']}{skipped}", []).append(error["frame"])
+    return [f"{_frames(found)}: {text}" for text, found in frames.items()]
+
+
+def _frames(indices: Sequence[int]) -> str:
+    """`frame 3`, `frames 0-3, 5` and so on, the last of many spans left out."""
+    spans: list[list[int]] = []
+    for index in sorted(set(indices)):
+        if spans and index == spans[-1][1] + 1:
+            spans[-1][1] = index
+        else:
+            spans.append([index, index])
+    words = [f"{first}-{last}" if last > first else f"{first}" for first, last in spans]
+    more = f" and {len(words) - MAX_SPANS} more spans" if len(words) > MAX_SPANS else ""
+    times = f" ({len(indices)} times)" if len(indices) > 1 else ""
+    return f"frame{'s' if len(set(indices)) > 1 else ''} {', '.join(words[:MAX_SPANS])}{more}{times}"

@@ -42,7 +42,9 @@ class RecordedSource:
         self._recording = Recording.open(newest(path) if path.is_dir() else path)
         recording = self._recording
         stop = config.stop
-        indices = [i for i in recording.frame_indices if i >= config.start and (stop is None or i < stop)]
+        indices = [
+            i for i in recording.readable_frame_indices if i >= config.start and (stop is None or i < stop)
+        ]
         if not indices:
             recording.close()
             raise InputError(
