@@ -164,6 +164,7 @@ def test_a_finished_file_cut_anywhere_opens_too(
             changes = list(recording.changes())
             graph = recording.graph_at()
             known = recording.last_known_frame
+            assert len(list(recording.frames())) == recording.frames_readable == summary["frames_readable"]
         number = len(changes)
         assert [change.update for change in changes] == list(range(1, number + 1))
         assert same(graph, SceneGraph.fold(run.told[:number]))

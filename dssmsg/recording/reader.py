@@ -212,8 +212,8 @@ class Recording:
         )
 
     def frames(self) -> Iterator[Frame]:
-        """All frames in order, decoded one at a time. Raises InputError at one whose images were cut off."""
-        return (self.frame(index) for index in self.frame_indices)
+        """All readable frames in order, decoded one at a time."""
+        return (self.frame(index) for index in self.readable_frame_indices)
 
     def viewpoint(self, index: int) -> str | None:
         """The viewpoint that a frame belongs to, if it is a key frame of one."""
