@@ -142,7 +142,7 @@ def _fit_joining(folder: Path, views: Sequence[View]) -> NDArray[np.float64]:
         frame = view.frame
         geometry = half_geometry(frame.depth, frame.camera, frame.world_from_camera, 0.0)
         maps = network.run(normalised_rgb(frame.rgb), geometry_channels(geometry))
-        pieces = vote(*maps, geometry.depth, GroupingRule())
+        pieces = vote(*maps, geometry, GroupingRule())
         ids = view.instance_ids[::2, ::2]
         owners = [_owner(ids[pieces.numbers == n + 1]) for n in range(len(pieces.peaks))]
         found = pieces.contacts

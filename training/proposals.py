@@ -48,7 +48,7 @@ def propose(folder: Path, weights: Path, out: Path) -> None:
             depth = shard.depth_mm[view].astype(np.float32) / np.float32(1000)
             geometry = half_geometry(depth, CAMERA, shard.poses[view], 0.0)
             dense, classes = network.run(normalised_rgb(shard.rgb[view]), geometry_channels(geometry))
-            for one in candidates(dense, classes, depth, geometry.depth, rule):
+            for one in candidates(dense, classes, depth, geometry, rule):
                 label = name_of(one.mask, shard.ids[view], shard.label)
                 if label is not None:
                     rows.append((view, label, np.packbits(one.mask)))

@@ -13,12 +13,14 @@ from scipy import ndimage
 
 from dssmsg.frame import Float32Array, IntArray, MaskArray
 from dssmsg.recogniser.contract import OFFSET_PX
+from dssmsg.recogniser.inputs import HalfGeometry
 from dssmsg.recogniser.joining import Contacts, contacts, merges
+from dssmsg.recogniser.parting import parted
 
 
 @dataclass(frozen=True, slots=True)
 class GroupingRule:
-    """Thresholds of the grouping; lengths in pixels of the half-size image.
+    """Thresholds of the grouping; lengths in pixels of the half-size image, `part_gap_m` in metres.
 
     `join`: weights of the logistic that joins pieces, see `joining`; none: nothing is joined.
     """
@@ -30,6 +32,7 @@ class GroupingRule:
     reach_share: float = 0.45
     min_pixels: int = 20
     max_peaks: int = 60
+    part_gap_m: float = 0.15
     join: tuple[float, ...] = ()
     join_sure: float = 0.9
     join_least: float = 0.25
@@ -55,16 +58,16 @@ def candidates(
     dense: Float32Array,
     classes: Float32Array,
     depth: Float32Array,
-    half_depth: Float32Array,
+    geometry: HalfGeometry,
     rule: GroupingRule,
 ) -> list[Group]:
     """What may be things: pieces, and joint ones that are made of earlier ones, largest pieces first.
 
-    dense (5, h, w) and classes (C + 1, h/2, w/2) logits; depth (2h, 2w) and half_depth (h, w) metres. Pieces
-    that are surely one thing are one from the start. Which of a group and its parts are the things is for
+    dense (5, h, w) and classes (C + 1, h/2, w/2) logits; depth (2h, 2w) metres and the geometry of its half (h, w).
+    Pieces that are surely one thing are one from the start. Which of a group and its parts are the things is for
     those to say who know what they look like: `chosen`.
     """
-    pieces = vote(dense, classes, half_depth, rule)
+    pieces = vote(dense, classes, geometry, rule)
     count = len(pieces.peaks)
     made = merges(pieces.contacts, count, rule.join, rule.join_least) if rule.join else []
     sure = np.arange(count + len(made) + 1)
@@ -72,7 +75,7 @@ def candidates(
         if merge.chance >= rule.join_sure:
             sure[(sure == sure[merge.first]) | (sure == sure[merge.second]) | (sure == k)] = k
     numbers = sure[pieces.numbers]
-    full = sharpened(numbers.astype(np.int32), depth, half_depth)
+    full = sharpened(numbers.astype(np.int32), depth, geometry.depth)
     sizes = np.bincount(numbers.ravel(), minlength=len(sure))
     pixels = np.bincount(full.ravel(), minlength=len(sure))
     groups: list[Group] = []
@@ -157,18 +160,32 @@ class Pieces:
     contacts: Contacts
 
 
-def vote(dense: Float32Array, classes: Float32Array, half_depth: Float32Array, rule: GroupingRule) -> Pieces:
+def vote(dense: Float32Array, classes: Float32Array, geometry: HalfGeometry, rule: GroupingRule) -> Pieces:
     """Pieces of a frame before any are joined; arguments as of `candidates`."""
     thing = _sigmoid(dense[0])
     heat = ndimage.uniform_filter(_sigmoid(dense[1]), 3)
-    numbers, peaks, centres = _votes(thing, heat, dense[2:4], rule)
+    numbers, peaks = _votes(thing, heat, dense[2:4], rule)
+    numbers, origins = parted(numbers, len(peaks), geometry, gap=rule.part_gap_m, least=3 * rule.min_pixels)
+    peaks += [0.0] * len(origins)
     labels = _softmax(classes)
-    means = np.stack([pooled(labels, numbers == n + 1)[:-1] for n in range(len(peaks))]) if peaks else None
-    if means is None:
-        means = np.zeros((0, len(labels) - 1), np.float32)
+    means = np.zeros((len(peaks), len(labels) - 1), np.float32)
+    for place in range(len(peaks)):
+        means[place] = pooled(labels, numbers == place + 1)[:-1]
     means /= means.sum(axis=1, keepdims=True) + np.float32(1e-6)
-    found = contacts(numbers, peaks, _sigmoid(dense[4]), means, half_depth, centres)
+    centres = _centres(numbers, dense[2:4], len(peaks))
+    found = contacts(numbers, peaks, _sigmoid(dense[4]), means, geometry.depth, centres)
     return Pieces(numbers, peaks, thing, labels, found)
+
+
+def _centres(numbers: IntArray, offset: Float32Array, groups: int) -> Float32Array:
+    """Mean voted centre (G, 2) of each group, pixels."""
+    v, u = np.nonzero(numbers)
+    members = numbers[v, u]
+    counts = np.maximum(np.bincount(members, minlength=groups + 1), 1)
+    votes = (u + offset[0, v, u] * OFFSET_PX, v + offset[1, v, u] * OFFSET_PX)
+    sums = [np.bincount(members, weights=part, minlength=groups + 1) for part in votes]
+    centres: Float32Array = np.stack([part / counts for part in sums], axis=1)[1:].astype(np.float32)
+    return centres
 
 
 def pooled(labels: Float32Array, mask: MaskArray) -> Float32Array:
@@ -180,12 +197,12 @@ def pooled(labels: Float32Array, mask: MaskArray) -> Float32Array:
 
 def _votes(
     thing: Float32Array, heat: Float32Array, offset: Float32Array, rule: GroupingRule
-) -> tuple[IntArray, list[float], Float32Array]:
-    """Group number (h, w) of each pixel, 0 = none; the peak of each group; its mean voted centre (G, 2)."""
+) -> tuple[IntArray, list[float]]:
+    """Group number (h, w) of each pixel, 0 = none; the peak of each group."""
     numbers = np.zeros(thing.shape, np.int32)
     v, u = np.nonzero(thing > rule.thing)
     if len(v) == 0:
-        return numbers, [], np.zeros((0, 2), np.float32)
+        return numbers, []
     top = ndimage.maximum_filter(heat, 2 * rule.peak_gap + 1)
     at_v, at_u = np.nonzero((heat == top) & (heat > rule.peak))
     order = np.argsort(-heat[at_v, at_u], kind="stable")[: rule.max_peaks]
@@ -209,11 +226,7 @@ def _votes(
     for piece in np.flatnonzero(sizes[1:] >= 3 * rule.min_pixels) + 1:
         peaks.append(0.0)
         numbers[pieces == piece] = len(peaks)
-    members = numbers[v, u]
-    counts = np.maximum(np.bincount(members, minlength=len(peaks) + 1), 1)
-    sums = [np.bincount(members, weights=part, minlength=len(peaks) + 1) for part in (vote_u, vote_v)]
-    centres: Float32Array = np.stack([part / counts for part in sums], axis=1)[1:].astype(np.float32)
-    return numbers, peaks, centres
+    return numbers, peaks
 
 
 def sharpened(numbers: IntArray, depth: Float32Array, half_depth: Float32Array) -> IntArray:

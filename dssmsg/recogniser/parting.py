@@ -14,10 +14,10 @@ from dssmsg.recogniser.inputs import HalfGeometry
 def parted(
     numbers: IntArray, groups: int, geometry: HalfGeometry, *, gap: float, least: int
 ) -> tuple[IntArray, list[int]]:
-    """Numbers (h, w) in which no group has parts farther apart than `gap` metres, and whom new ones come from.
+    """Numbers (h, w) in which no group has parts farther apart than `gap` metres, and the new ones' origins.
 
-    A part that is too far from the group's largest one becomes a group of its own, numbered from `groups` + 1
-    on, where it has `least` pixels, else nothing. The list has the old number of each new one. What touches in
+    A part that is too far from the group's largest becomes a group of its own, numbered from `groups` + 1 on,
+    where it has `least` pixels, else nothing. The list has the old number of each new one. What touches in
     the image at one depth is one part; the distance is that of the parts' boxes, so that a chair seen through
     the legs of a table stays whole.
     """

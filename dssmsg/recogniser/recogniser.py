@@ -86,7 +86,7 @@ class Recogniser:
         working = WorkingFrame.of(frame)
         geometry = self._geometry(frame, working)
         maps = self._dense(working, geometry)
-        groups = limited(candidates(*maps, working.depth, geometry.depth, self._rule), self._max_crops)
+        groups = limited(candidates(*maps, working.depth, geometry, self._rule), self._max_crops)
         if not groups:
             return working, [], []
         vectors, logits = self._crops.run(
