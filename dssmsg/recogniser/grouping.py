@@ -63,9 +63,9 @@ def candidates(
 ) -> list[Group]:
     """What may be things: pieces, and joint ones that are made of earlier ones, largest pieces first.
 
-    dense (5, h, w) and classes (C + 1, h/2, w/2) logits; depth (2h, 2w) metres and the geometry of its half (h, w).
-    Pieces that are surely one thing are one from the start. Which of a group and its parts are the things is for
-    those to say who know what they look like: `chosen`.
+    dense (5, h, w) and classes (C + 1, h/2, w/2) logits; depth (2h, 2w) metres and the geometry of its half
+    (h, w). Pieces that are surely one thing are one from the start. Which of a group and its parts are the
+    things is for those to say who know what they look like: `chosen`.
     """
     pieces = vote(dense, classes, geometry, rule)
     count = len(pieces.peaks)
