@@ -56,7 +56,7 @@ def loss(
 
 SECOND = Plan(steps=900, until=900, rate=1.6e-3, seed=1, seeds=10**6, small=1.0)
 """The second round: every shard, and more weight on small things."""
-THIRD = Plan(steps=600, until=600, rate=1.2e-3, seed=2, seeds=10**6, small=1.0)
+THIRD = Plan(steps=600, until=500, rate=1.2e-3, seed=2, seeds=10**6, small=1.0)
 """The third round: the same from a lower rate."""
 
 
