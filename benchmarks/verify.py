@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import hashlib
 import json
 import os
 import platform
@@ -25,61 +24,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
+import eyes
+from staging import ENVIRONMENT, ROOT, Row, code_hash, dssmsg, recording_of, run
+
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent
 RESULTS = HERE / "results" / "verify"
-ENVIRONMENT = {**os.environ, "RERUN_STRICT": "1", "OMP_WAIT_POLICY": "PASSIVE"}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One promise: what was asked, what was measured, whether it holds (None: reported only)."""
-
-    what: str
-    asked: str
-    measured: str
-    holds: bool | None
-
-
-def dssmsg(*arguments: str, cwd: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
-    """Run the program as a user does."""
-    done = subprocess.run(
-        [sys.executable, "-m", "dssmsg", *arguments],
-        cwd=cwd,
-        env=ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if check and done.returncode != 0:
-        raise SystemExit(f"dssmsg {' '.join(arguments)} ended with {done.returncode}:\n{done.stderr[-2000:]}")
-    return done
-
-
-def run(cwd: Path, *sets: str, seed: int = 0) -> dict:
-    """One run; its JSON summary with the wall time and the peak memory of the process (MB) added."""
-    arguments = [sys.executable, "-m", "dssmsg", "run", "--json", "--seed", str(seed)]
-    for assignment in sets:
-        arguments += ["--set", assignment]
-    start = time.monotonic()
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
-        process = subprocess.Popen(arguments, cwd=cwd, env=ENVIRONMENT, stdout=out, stderr=err)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        out.seek(0)
-        err.seek(0)
-        if process.returncode != 0:
-            raise SystemExit(f"{' '.join(arguments)} ended with {process.returncode}:\n{err.read()[-2000:]}")
-        summary = json.loads(out.read())
-    return {**summary, "wall": time.monotonic() - start, "peak_mb": usage.ru_maxrss / 1000}
-
-
-def recording_of(summary: dict, cwd: Path) -> Path:
-    """Where the recording of a summary lies."""
-    return (cwd / summary["recording"]).resolve()
 
 
 def folding(cwd: Path) -> list[Row]:
@@ -138,10 +90,7 @@ class LiveGraphs:
 def determinism(cwd: Path) -> list[Row]:
     """Two processes, one change log; and one with the truth taken from the frames."""
     rows = []
-    for title, sets in (
-        ("oracle", ["perception.use=oracle"]),
-        ("segments (needs no truth)", ["perception.use=segments"]),
-    ):
+    for title, sets in (("oracle", ["perception.use=oracle"]), ("the default, which needs no truth", [])):
         logs = [change_log(run(cwd, *sets, "recording.observers.jsonl={}"), cwd) for _ in range(2)]
         same = logs[0] == logs[1]
         rows.append(
@@ -149,7 +98,6 @@ def determinism(cwd: Path) -> list[Row]:
         )
     removed = run(
         cwd,
-        "perception.use=segments",
         "recording.observers.jsonl={}",
         f"plugins=[{HERE / 'truthless.py'}]",
         "source={use: truthless}",
@@ -390,6 +338,7 @@ STAGES: dict[str, Callable[[Path], list[Row]]] = {
     "cost": cost,
     "growth": growth,
     "startup": startup,
+    **eyes.STAGES,
 }
 
 
@@ -443,16 +392,6 @@ def commit() -> str:
         check=False,
     )
     return done.stdout.strip() or "unknown"
-
-
-def code_hash() -> str:
-    """A hash of everything that a figure can depend on in this checkout."""
-    digest = hashlib.sha256()
-    for folder in ("dssmsg", "plugins", "benchmarks"):
-        for file in sorted((ROOT / folder).rglob("*")):
-            if file.is_file() and not {"__pycache__", "results"} & set(file.parts):
-                digest.update(str(file.relative_to(ROOT)).encode() + file.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def markdown(stages: list[dict]) -> str:

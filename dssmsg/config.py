@@ -84,6 +84,18 @@ class MissionConfig(BaseModel):
     max_frames: int = Field(
         default=1200, ge=1, le=1_000_000, description="Frames of the whole run, all phases together."
     )
+    seek_visit: Literal["same", "next"] = Field(
+        default="same", description="Whether seek belongs to the visit before it or begins a new one."
+    )
+    candidates: int = Field(
+        default=5, ge=1, le=100, description="Viewpoints that an episode of seek may look from."
+    )
+    episode_secs: float = Field(
+        default=300.0, gt=0, description="An episode that takes longer ends `out of time`, sim seconds."
+    )
+    episode_metres: float = Field(
+        default=100.0, gt=0, description="An episode that drives further ends `out of time`, metres."
+    )
     linear_speed: float = Field(
         default=0.5, gt=0, le=0.5, description="Top driving speed, m/s (the robot's limit is 0.5)."
     )

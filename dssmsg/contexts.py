@@ -44,14 +44,16 @@ class ContextFactory:
     llm: Llm | None = None
     made: dict[str, Registration] = field(default_factory=dict)
     """What was built, links of a chain included, by dotted key."""
+    timeout_secs: float = 30.0
 
     def __call__(self, registration: Registration) -> Context:
         """The context of one plug-in; what it builds itself gets a context of its own."""
         key = registration.kind
 
-        def build(kind: str, slot: Slot | Mapping[str, Any]) -> Any:
-            built = self.host.build(kind, slot, self, base_dir=self.base_dir, key=f"{key}.{kind}")
-            self.made[f"{key}.{kind}"] = built.registration
+        def build(kind: str, slot: Slot | Mapping[str, Any], *, option: str | None = None) -> Any:
+            place = f"{key}.{option or kind}"
+            built = self.host.build(kind, slot, self, base_dir=self.base_dir, key=place)
+            self.made[place] = built.registration
             return built.plugin
 
         return Context(
@@ -67,4 +69,5 @@ class ContextFactory:
             source=self.source,
             encoder=self.encoder,
             llm=self.llm,
+            timeout_secs=self.timeout_secs,
         )

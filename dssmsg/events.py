@@ -142,6 +142,10 @@ class LlmCalled:
     error: str = ""
     tokens: int | None = None
     seconds: float = 0.0
+    attempt: int = 1
+    """Counts the exchanges of one question from 1: tries, the repair of an answer, the fallback."""
+    fallback_for: str = ""
+    """The provider that failed, where this one stood in for it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

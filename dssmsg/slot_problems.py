@@ -44,5 +44,7 @@ def _of_slot(
         yield f"{key}.{sentence}"
     for name in type(options).model_fields:
         value = getattr(options, name)
-        if name in KINDS and isinstance(value, Slot):
-            yield from _of_slot(host, name, value, f"{key}.{name}", base_dir, encoder)
+        if isinstance(value, Slot):
+            # An option that is called like no kind (`fallback`) holds a plug-in of the same kind.
+            inner = name if name in KINDS else kind
+            yield from _of_slot(host, inner, value, f"{key}.{name}", base_dir, encoder)

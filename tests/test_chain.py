@@ -259,6 +259,13 @@ def test_links_left_out_are_skipped(room):
     assert both[1].box_xyxy.tolist() == [0, 0, 160, 9]
 
 
+def test_runners_up_of_a_box_reach_its_detection(room):
+    considered = (("cup", 0.9), ("bowl", 0.05))
+    detector = Boxes(Box(np.array([10.0, 20.0, 30.0, 50.0]), "cup", 0.9, label_scores=considered))
+    (found,) = make(others={"detector": detector}, segmenter=None).detect(room)
+    assert found.label_scores == considered
+
+
 def test_labels_of_the_tagger_reach_the_detector(room):
     detector = Boxes()
     assert (

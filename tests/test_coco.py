@@ -88,7 +88,7 @@ def detect(monkeypatch, tmp_path):
 
 def test_a_box_comes_from_the_expected_distances():
     raw = outputs((16, 10, 5, CUP, 0.8, (1.5, 2.0, 3.25, 0.5)))
-    corners, scores, classes = coco.decode(raw, np.ones(80, bool), 0.35)
+    corners, scores, classes, _ = coco.decode(raw, np.ones(80, bool), 0.35)
     x, y = (5 + 0.5) * 16, (10 + 0.5) * 16
     np.testing.assert_allclose(corners, [[x - 24, y - 32, x + 52, y + 8]], atol=1e-3)
     np.testing.assert_allclose(scores, [0.8], atol=1e-6)
@@ -104,9 +104,7 @@ def test_a_box_comes_from_the_expected_distances():
 def test_every_cell_of_every_grid_speaks_for_its_own_place(stride, along, down, distances):
     side = coco.SIDE // stride
     row, column = int(down * side), int(along * side)
-    corners, _, _ = coco.decode(
-        outputs((stride, row, column, CHAIR, 0.9, distances)), np.ones(80, bool), 0.35
-    )
+    corners, *_ = coco.decode(outputs((stride, row, column, CHAIR, 0.9, distances)), np.ones(80, bool), 0.35)
     left, top, right, bottom = (stride * one for one in distances)
     x, y = (column + 0.5) * stride, (row + 0.5) * stride
     np.testing.assert_allclose(corners[0], [x - left, y - top, x + right, y + bottom], atol=0.02)
@@ -115,16 +113,18 @@ def test_every_cell_of_every_grid_speaks_for_its_own_place(stride, along, down, 
 def test_a_cell_speaks_for_the_best_of_the_wanted_classes():
     raw = outputs((32, 3, 3, TRAIN, 0.9, (2, 2, 2, 2)))
     raw["cls_32"][0, 3 * 13 + 3, CHAIR] = 0.5
-    _, scores, classes = coco.decode(raw, np.ones(80, bool), 0.35)
+    _, scores, classes, _ = coco.decode(raw, np.ones(80, bool), 0.35)
     assert (classes.tolist(), scores.round(3).tolist()) == ([TRAIN], [0.9])
     wanted = np.ones(80, bool)
     wanted[TRAIN] = False
-    _, scores, classes = coco.decode(raw, wanted, 0.35)
+    _, scores, classes, _ = coco.decode(raw, wanted, 0.35)
     assert (classes.tolist(), scores.round(3).tolist()) == ([CHAIR], [0.5])
+    *_, chances = coco.decode(raw, np.ones(80, bool), 0.35)
+    assert (chances[0, TRAIN], chances[0, CHAIR]) == (np.float32(0.9), np.float32(0.5))  # the runner-up
 
 
 def test_nothing_found_is_no_box():
-    corners, scores, classes = coco.decode(outputs(), np.ones(80, bool), 0.35)
+    corners, scores, classes, _ = coco.decode(outputs(), np.ones(80, bool), 0.35)
     assert (corners.shape, scores.shape, classes.shape) == ((0, 4), (0,), (0,))
 
 

@@ -46,7 +46,7 @@ def test_default_names_a_plugin_for_every_place() -> None:
     config = load()
     assert {key: slot.use for key, slot in config.slots.items()} == {
         "source": "pybullet",
-        "perception": "oracle",
+        "perception": "furniture",
         "encoder": "minilm",
         "llm": "lexicon",
         "association": "dssm",

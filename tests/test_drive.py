@@ -9,7 +9,7 @@ import pytest
 
 from dssmsg.frame import Camera, Frame
 from dssmsg.interfaces.source import Command
-from dssmsg.mission.drive import Driver, wrap_angle
+from dssmsg.navigation.drive import Driver, wrap_angle
 
 CAMERA = Camera(4, 3, 4.0, 4.0, 1.5, 1.0)
 PERIOD = 0.2

@@ -17,7 +17,6 @@ from pydantic import ValidationError
 
 from dssmsg.errors import ConfigError, PluginError
 from dssmsg.evaluate.perception import evaluate_perception, mask_iou, visible
-from dssmsg.evaluate.text import SETS, answer_sentences, scene_labels, text_rows
 from dssmsg.frame import Camera, Frame
 from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.scene_graph import SceneGraph
@@ -222,6 +221,23 @@ def test_changed_missing_and_broken_weights_are_refused(tiny, tmp_path):
     assert error.value.key == "perception.weights"
 
 
+def test_the_doctor_hears_of_changed_weights(tiny, tmp_path):
+    for name in ("weights.json", "masks.onnx", "crops.onnx"):
+        (tmp_path / name).write_bytes((tiny / name).read_bytes())
+    config = FurnitureConfig(weights=".")
+    assert config.problems(tmp_path, None) == []
+    assert FurnitureConfig().problems(tmp_path, None) == []
+    (tmp_path / "masks.onnx").write_bytes(b"something else")
+    (sentence,) = config.problems(tmp_path, None)
+    assert sentence.startswith(f"weights: {tmp_path / 'masks.onnx'}: ")
+    assert "SHA-256" in sentence
+    (tmp_path / "masks.onnx").unlink()
+    (sentence,) = config.problems(tmp_path, None)
+    assert "missing" in sentence
+    (sentence,) = FurnitureConfig(weights="nowhere").problems(tmp_path, None)
+    assert "weights.json" in sentence
+
+
 def test_rims_are_taken_off_as_far_as_a_mask_stays():
     mask = np.zeros((40, 40), np.bool_)
     mask[10:30, 10:30] = True
@@ -283,20 +299,3 @@ def test_evaluation_counts_what_it_says(shipped):
         assert 0 <= figures[name]["mean"] <= 1
         assert figures[name]["n"] > 0
     assert figures["object_top3"]["mean"] >= figures["object_top1"]["mean"]
-
-
-def test_sentences_are_ranked_by_the_encoder():
-    class Knowing(TextSide):
-        """Every sentence means the bed."""
-
-        def encode_text(self, texts):
-            return self.encode_labels(["bed"] * len(texts))
-
-    for which in SETS:
-        answers = answer_sentences(Knowing(), which)
-        assert {answer.said for answer in answers} == {"bed"}
-        right = sum("bed" in answer.right for answer in answers)
-        first = text_rows(answers, which, "knowing")[0]
-        assert first["mean"] == pytest.approx(right / len(answers))
-        assert all(set(answer.right) <= set(scene_labels()) for answer in answers)
-    assert len(answer_sentences(Knowing(), "requests")) == 30

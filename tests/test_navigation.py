@@ -15,29 +15,31 @@ from hypothesis import strategies as st
 from dssmsg.checks import check_step
 from dssmsg.frame import Camera, Frame, quantise_depth
 from dssmsg.graph import changes as c
-from dssmsg.graph.paths import edge_key, nearest_waypoint, path_length, shortest_path
+from dssmsg.graph.paths import edge_key, nearest_waypoints, path_length, shortest_path
 
-CAMERA = Camera.from_fov(32, 24, math.radians(69.4))
+CAMERA = Camera.from_fov(160, 120, math.radians(69.4))
 
 
 class Robot:
     """A unicycle that follows commands at once, and sees a post of 0.1 m radius where one is put."""
 
     def __init__(self, x, y, heading=0.0):
-        self.x, self.y, self.heading, self.tilt = x, y, heading, 0.0
+        self.x, self.y, self.heading, self.pan, self.tilt = x, y, heading, 0.0, 0.0
         self.posts, self.index, self.trail = [], 0, [(x, y)]
+        self.gazes = []
 
     def step(self, command):
         for _ in range(20):
             self.heading += command.angular * 0.01
             self.x += command.linear * 0.01 * math.cos(self.heading)
             self.y += command.linear * 0.01 * math.sin(self.heading)
-        self.tilt = command.tilt
+        self.pan, self.tilt = command.pan, command.tilt
         self.trail.append((self.x, self.y))
         self.index += 1
 
     def frame(self):
-        pose = camera_pose(self.x, self.y, self.heading, self.tilt)
+        pose = camera_pose(self.x, self.y, self.heading + self.pan, self.tilt)
+        self.gazes.append((self.heading + self.pan, self.tilt))
         base = np.eye(4)
         base[:2, :2] = [
             [math.cos(self.heading), -math.sin(self.heading)],
@@ -47,7 +49,7 @@ class Robot:
         return Frame(
             index=self.index,
             sim_time=self.index / 5,
-            rgb=np.zeros((24, 32, 3), np.uint8),
+            rgb=np.zeros((120, 160, 3), np.uint8),
             depth=quantise_depth(self._depth(pose)),
             camera=CAMERA,
             world_from_camera=pose,
@@ -55,8 +57,8 @@ class Robot:
         )
 
     def _depth(self, pose):
-        u, v = np.meshgrid(np.arange(32), np.arange(24))
-        rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones((24, 32))], -1)
+        u, v = np.meshgrid(np.arange(160), np.arange(120))
+        rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones((120, 160))], -1)
         d, o = rays @ pose[:3, :3].T, pose[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = np.where(d[..., 2] < 0, -o[2] / d[..., 2], 9.0)
@@ -71,10 +73,16 @@ class Robot:
         return np.minimum(depth, 9.0)
 
 
+def wall(x, low, high):
+    """Posts that leave no gap, from (x, low) to (x, high)."""
+    return [(x, float(y)) for y in np.arange(low, high + 0.01, 0.15)]
+
+
 def seek(floor, robot, goals, limit=600, **options):
     """Drive an episode as the mission does; returns the last step and all of them."""
     navigation = Dijkstra(Config(**options), context(floor.graph))
     navigation.start(robot.frame(), goals)
+    robot.gazes.clear()
     steps = []
     while len(steps) < limit:
         step = check_step(navigation.step(robot.frame()))
@@ -124,8 +132,8 @@ def test_no_way_to_an_island_or_from_nowhere(square):
     square.waypoint(9, 9)
     assert shortest_path(square.graph, "waypoint-1", "waypoint-5") is None
     assert shortest_path(square.graph, "waypoint-1", "waypoint-77") is None
-    assert nearest_waypoint(square.graph, 8.0, 8.0) == "waypoint-5"
-    assert nearest_waypoint(FloorGraph().graph, 0.0, 0.0) is None
+    assert nearest_waypoints(square.graph, 8.0, 8.0, 2) == ("waypoint-5", "waypoint-3")
+    assert nearest_waypoints(FloorGraph().graph, 0.0, 0.0, 1) == ()
 
 
 @settings(max_examples=40, deadline=None)
@@ -157,50 +165,76 @@ def test_shortest_path_against_all_ways(data, count):
 def test_drives_to_the_viewpoint_and_looks_its_way(square):
     robot = Robot(0.1, 0.05, 1.0)
     last, steps = seek(square, robot, ["viewpoint-3.1"])
-    assert (last.outcome, last.state) == ("success", "arrived")
+    assert (last.outcome, last.state, last.goal) == ("success", "arrived", "viewpoint-3.1")
     assert math.dist((robot.x, robot.y), (3, 2)) < 0.06
-    assert robot.heading == pytest.approx(2.5, abs=math.radians(1))
-    assert robot.tilt == pytest.approx(-0.3, abs=math.radians(1))
+    looks = [gaze for step, gaze in zip(steps, robot.gazes, strict=False) if step.at_stop]
+    assert looks[0] == pytest.approx((2.5, -0.3), abs=math.radians(1))
+    assert len(looks) == len(Config().look_around)
     assert {"drive", "turn", "look"} <= {step.state for step in steps}
     assert steps[0].path[-1] == "waypoint-3"
     assert not any(step.changes for step in steps)
 
 
-def test_an_obstacle_blocks_the_edge_and_the_way_round_is_driven(square):
+def test_an_obstacle_is_driven_round(square):
     robot = Robot(0.0, 0.0)
     robot.posts = [(2.0, 0.0)]
-    last, steps = seek(square, robot, ["viewpoint-3.1"], obstacle_points=3)
+    last, steps = seek(square, robot, ["viewpoint-3.1"])
+    assert last.outcome == "success"
+    assert "detour" in {step.state for step in steps}
+    assert not any(step.changes for step in steps)
+    assert 0.28 < min(math.dist(xy, (2, 0)) for xy in robot.trail) < 0.6  # a post of 0.1 m, a robot of 0.18 m
+    assert min(math.dist(xy, (3, 0)) for xy in robot.trail) < 0.4
+
+
+def test_no_way_round_blocks_the_edge_and_another_way_is_driven(square):
+    robot = Robot(0.0, 0.0)
+    robot.posts = wall(2.0, -4.0, 1.0)
+    last, steps = seek(square, robot, ["viewpoint-3.1"])
     assert last.outcome == "success"
     assert [step.state for step in steps].count("replan") == 1
+    assert sum(step.at_stop for step in steps if step.state in ("inspect", "replan")) == 3
     change = next(step.changes[0] for step in steps if step.changes)
     assert (change.edge, change.subjects) == ("path", ("waypoint-1", "waypoint-2"))
-    assert change.scores[0].value >= change.scores[0].threshold == 3
+    assert change.scores[0].value >= change.scores[0].threshold == 1.0
+    assert change.attributes["obstacle"] == pytest.approx([1.9, 0.0], abs=0.2)
     assert square.graph.edges["path", "waypoint-1", "waypoint-2"].attributes["blocked"] is True
-    assert min(math.dist(xy, (2, 0)) for xy in robot.trail) > 0.45  # it kept its distance from the post
+    assert min(math.dist(xy, post) for xy in robot.trail for post in robot.posts) > 0.28
 
 
 def test_a_post_behind_the_goal_or_beside_the_way_blocks_nothing(square):
     robot = Robot(0.0, 0.0)
     robot.posts = [(3.5, 0.0), (1.5, 0.5)]
-    last, steps = seek(square, robot, ["viewpoint-2.1"], obstacle_points=3)
+    last, steps = seek(square, robot, ["viewpoint-2.1"])
     assert last.outcome == "success"
-    assert "replan" not in {step.state for step in steps}
+    assert not {"replan", "detour"} & {step.state for step in steps}
 
 
 def test_every_way_blocked_ends_without_a_path(square):
     robot = Robot(0.0, 0.0)
     robot.posts = [(1.5, 0.0), (0.0, 1.2)]
-    last, steps = seek(square, robot, ["viewpoint-3.1"], obstacle_points=3)
+    last, steps = seek(square, robot, ["viewpoint-3.1"], detour=False)
     assert last.outcome == "no path"
     assert "after 2 blocked edges" in last.detail
     assert sum(len(step.changes) for step in steps) == 2
 
 
-def test_on_the_way_to_the_first_waypoint_there_is_no_edge_to_blame(square):
+def test_on_the_way_to_the_first_waypoint_there_is_no_edge_to_blame():
+    floor = FloorGraph()
+    floor.waypoint(0, 0)
     robot = Robot(-2.0, 0.0)
     robot.posts = [(-1.0, 0.0)]
-    last, _steps = seek(square, robot, ["viewpoint-2.1"], obstacle_points=3)
-    assert (last.outcome, last.changes) == ("blocked", ())
+    last, steps = seek(floor, robot, ["viewpoint-1.1"], detour=False)
+    assert last.outcome == "blocked"
+    assert not any(step.changes for step in steps)
+    assert seek(floor, robot, ["viewpoint-1.1"])[0].outcome == "success"
+
+
+def test_something_on_the_goal_itself_is_approached(square):
+    robot = Robot(0.0, 0.0)
+    robot.posts = [(3.0, 0.0)]
+    last, _steps = seek(square, robot, ["viewpoint-2.1"])
+    assert last.outcome == "success"
+    assert 0.28 < math.dist((robot.x, robot.y), (3, 0)) < 0.9
 
 
 def test_standing_on_an_edge_it_does_not_go_back(square):
@@ -212,9 +246,9 @@ def test_standing_on_an_edge_it_does_not_go_back(square):
 
 def test_alternatives_only_where_allowed(square):
     square.waypoint(9, 9)
-    last, _steps = seek(square, Robot(0, 0), ["viewpoint-5.1", "viewpoint-2.1"])
+    last, _steps = seek(square, Robot(0, 0), ["viewpoint-5.1", "viewpoint-2.1"], alternatives=1)
     assert last.outcome == "no path"
-    last, _steps = seek(square, Robot(0, 0), ["viewpoint-5.1", "viewpoint-2.1"], alternatives=2)
+    last, _steps = seek(square, Robot(0, 0), ["viewpoint-5.1", "viewpoint-2.1"])
     assert (last.outcome, last.detail) == ("success", "at viewpoint-2.1")
 
 
@@ -224,11 +258,6 @@ def test_a_robot_that_does_not_move_is_stuck(square):
     last, steps = seek(square, robot, ["viewpoint-2.1"], stuck_frames=6)
     assert last.outcome == "stuck"
     assert len(steps) == 7
-
-
-def test_time_is_up(square):
-    last, _steps = seek(square, Robot(0, 0), ["viewpoint-3.1"], max_secs=2.0)
-    assert last.outcome == "out of time"
 
 
 def test_unknown_and_missing_goals_have_no_path(square):

@@ -76,7 +76,7 @@ def test_installed_from_the_wheel_it_runs_in_an_empty_folder(wheel, tmp_path):
     done = subprocess.run(
         [
             *[sys.executable, "-m", "dssmsg", "run", "--json"],
-            *["--set", "perception.use=oracle", "--set", "mission.max_frames=12"],
+            *["--set", "mission.max_frames=12"],
         ],
         cwd=empty,
         env={**os.environ, "PYTHONPATH": str(site)},
@@ -87,6 +87,7 @@ def test_installed_from_the_wheel_it_runs_in_an_empty_folder(wheel, tmp_path):
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["frames"] == 12
+    assert summary["changes"]["object_added"] > 0, "the default perception saw nothing"
     assert (empty / summary["recording"]).is_file()
     where = subprocess.run(
         [

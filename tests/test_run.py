@@ -80,7 +80,7 @@ def test_without_truth_the_log_is_the_same(tmp_path):
     ):
         folder = tmp_path / name
         folder.mkdir()
-        run = real_run(folder, "perception.use=segments", "mission.max_frames=40", *sets)
+        run = real_run(folder, "mission.max_frames=40", *sets)  # with the default perception
         assert run.summary["key_frames"] > 5
         logs.append(run.change_log.read_bytes())
     assert logs[0] == logs[1]
@@ -89,7 +89,10 @@ def test_without_truth_the_log_is_the_same(tmp_path):
 
 def test_a_goal_that_was_never_tried_is_no_success(tmp_path):
     run = real_run(
-        tmp_path, "mission={phases: [survey, seek], goals: [a quiet place]}", "mission.max_frames=10"
+        tmp_path,
+        "perception.use=oracle",
+        "mission={phases: [survey, seek], goals: [a quiet place]}",
+        "mission.max_frames=10",
     )
     assert run.summary["out_of_frames"]
     assert run.summary["episodes"] == [{"goal": "a quiet place", "outcome": "failure", "reason": "not begun"}]

@@ -15,9 +15,9 @@ from pydantic import ValidationError
 
 from dssmsg.errors import ConfigError, InputError
 from dssmsg.interfaces import Command, Source
-from dssmsg.mission.drive import Driver
 from dssmsg.mission.keyframes import KeyFrameSelector
 from dssmsg.mission.survey import Surveyor
+from dssmsg.navigation.drive import Driver
 from dssmsg.sim.tour import estimate
 
 

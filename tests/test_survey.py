@@ -8,9 +8,9 @@ from dataclasses import replace
 from test_drive import Unicycle
 
 from dssmsg.interfaces import Stop
-from dssmsg.mission.drive import Driver, wrap_angle
 from dssmsg.mission.keyframes import KeyFrameSelector
 from dssmsg.mission.survey import Surveyor
+from dssmsg.navigation.drive import Driver, wrap_angle
 
 
 def drive(tour, *, blocked=False, frames=800):

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import enum
 import sys
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from dssmsg.errors import StorageError
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Encoder, Llm
@@ -21,6 +25,10 @@ class Assets(enum.StrEnum):
     EMBEDDED = "embedded"
 
 
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")]
 
 
@@ -47,19 +55,94 @@ def register(app: typer.Typer) -> None:
 
     @group.command()
     def text(
-        config: Annotated[
-            Path | None,
-            typer.Option(
-                "--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."
-            ),
-        ] = None,
+        config: ConfigOption = None,
         as_json: JsonOption = False,
     ) -> None:
         """Sentences that name a need: is the right label first?
 
-        The configured encoder alone, and after the configured language model.
+        The configured encoder alone, after the configured language model, and with the table of purposes.
+        The set `fresh` was written after that table.
         """
         show_text(config, as_json=as_json)
+
+    @group.command()
+    def static(
+        scenes: Annotated[str, typer.Option(metavar="A,B", help="Scenes, by name.")] = "rs_int,ihlen_1_int",
+        perception: Annotated[
+            str, typer.Option(metavar="A,B", help="Perception plug-ins, by name.")
+        ] = "furniture,oracle",
+        seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each, with seeds from 0.")] = 5,
+        config: ConfigOption = None,
+        sets: Annotated[
+            list[str] | None,
+            typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be given often."),
+        ] = None,
+        work: Annotated[
+            Path | None,
+            typer.Option(
+                metavar="FOLDER", help="Keep recordings and results here, and go on where it stopped."
+            ),
+        ] = None,
+        as_json: JsonOption = False,
+    ) -> None:
+        """Whole missions: static objects of the map against the truth, mean and spread over seeds.
+
+        Precision, recall and F1 by label and place. Without --work nothing is kept.
+        """
+        show_static(
+            _names(scenes, "--scenes"), _names(perception, "--perception"), seeds, config, sets or (), work,
+            as_json=as_json,
+        )  # fmt: skip
+
+
+def show_static(
+    scenes: Sequence[str],
+    perceptions: Sequence[str],
+    seeds: int,
+    config: Path | None,
+    sets: Sequence[str],
+    work: Path | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Print the rows of `evaluate_static`; progress goes to stderr."""
+    from dssmsg.cli.output import stdout_to_stderr
+
+    with stdout_to_stderr(), _folder(work) as folder:
+        from dssmsg.evaluate.static_runs import evaluate_static, static_rows
+
+        runs = evaluate_static(
+            folder, scenes=scenes, perceptions=perceptions, seeds=range(seeds), config=config, sets=sets,
+            progress=_progress,
+        )  # fmt: skip
+    print_rows(static_rows(runs), as_json=as_json)
+
+
+@contextmanager
+def _folder(work: Path | None) -> Iterator[Path]:
+    """The folder that is asked for, made where it is missing; else one that goes afterwards.
+
+    Raises StorageError where it cannot be made.
+    """
+    if work is None:
+        with tempfile.TemporaryDirectory(prefix="dssmsg-eval-") as place:
+            yield Path(place)
+        return
+    try:
+        work.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot be made: {error.strerror or error}", file=work) from error
+    yield work
+
+
+def _names(text: str, option: str) -> list[str]:
+    """The names of a list with commas, each once."""
+    names = [name.strip() for name in text.split(",")]
+    if not all(names) or len(set(names)) < len(names):
+        raise typer.BadParameter(
+            f"expected names with commas between, each once, got '{text}'", param_hint=option
+        )
+    return names
 
 
 def show_perception(rooms: int, views: int, assets: str, weights: Path | None, *, as_json: bool) -> None:
@@ -76,17 +159,17 @@ def show_perception(rooms: int, views: int, assets: str, weights: Path | None, *
 
 
 def show_text(config: Path | None, *, as_json: bool) -> None:
-    """Print the rows of both sets of sentences, and on stderr the sentences that went wrong."""
+    """Print the rows of all sets of sentences, and on stderr the sentences that went wrong."""
     from dssmsg.cli.output import note, stdout_to_stderr
 
     rows: list[dict[str, Any]] = []
     with stdout_to_stderr():
-        from dssmsg.evaluate.text import SETS, answer_sentences, text_rows
+        from dssmsg.evaluate.text import SETS, answer_sentences, methods, text_rows
 
-        names, encoder, llm = _language(config)
+        compared = methods(*_language(config))
         for which in SETS:
-            for method, model in ((names[0], None), (f"{names[1]} + {names[0]}", llm)):
-                answers = answer_sentences(encoder, which, llm=model)
+            for method, scores in compared.items():
+                answers = answer_sentences(scores, which)
                 rows += text_rows(answers, which, method)
                 for answer in answers:
                     if answer.rank:
@@ -94,8 +177,8 @@ def show_text(config: Path | None, *, as_json: bool) -> None:
     print_rows(rows, as_json=as_json)
 
 
-def _language(path: Path | None) -> tuple[tuple[str, str], Encoder, Llm]:
-    """The configured encoder and language model with their names."""
+def _language(path: Path | None) -> tuple[Encoder, str, Llm, str]:
+    """The configured encoder and language model, each with its name."""
     from dssmsg.config import load_config
     from dssmsg.contexts import ContextFactory
     from dssmsg.graph.ids import IdAllocator
@@ -112,8 +195,8 @@ def _language(path: Path | None) -> tuple[tuple[str, str], Encoder, Llm]:
             host.build(kind, slot, contexts, base_dir=config.base_dir, key=kind)
             for kind, slot in (("encoder", config.encoder), ("llm", config.llm))
         ]
-    names = (built[0].registration.name, built[1].registration.name)
-    return names, built[0].plugin, built[1].plugin
+    encoder, llm = built
+    return encoder.plugin, encoder.registration.name, llm.plugin, llm.registration.name
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
@@ -123,7 +206,7 @@ def print_rows(rows: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
     if as_json:
         print_json(list(rows))
         return
-    columns = ("scene", "method", "metric", "mean", "std", "n")
+    columns = ("scene", "method", "perception", "metric", "mean", "std", "n")
     cells = [columns, *(tuple(_cell(row[name]) for name in columns) for row in rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     for line in cells:
@@ -131,7 +214,7 @@ def print_rows(rows: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
 
 
 def _cell(value: Any) -> str:
-    return f"{value:.3f}" if isinstance(value, float) else str(value)
+    return f"{value:.3f}" if isinstance(value, float) else "-" if value is None else str(value)
 
 
 def _progress(line: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dssmsg.geometry import grow_box, points_in_box
 from dssmsg.graph.ids import id_order
-from dssmsg.graph.nodes import ObjectNode
+from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
 from dssmsg.graph.scoring import neighbour_share
 from dssmsg.graph.view import GraphView
 
@@ -101,7 +101,8 @@ def _candidates(
         _near_pairs(graph, touched, distance), key=lambda pair: [*map(id_order, pair)]
     ):
         a, b = graph.objects[first], graph.objects[second]
-        if a.label == b.label and set(a.frames).isdisjoint(b.frames):
+        gone = DISAPPEARED in (a.state, b.state)  # what took the place of a vanished thing is not part of it
+        if a.label == b.label and not gone and set(a.frames).isdisjoint(b.frames):
             yield a, b
 
 

@@ -18,19 +18,24 @@ def edge_key(a: str, b: str) -> tuple[str, str, str]:
     return PATH, first, second
 
 
-def nearest_waypoint(graph: GraphView, x: float, y: float) -> str | None:
-    """The waypoint nearest to a place on the floor (world metres), None without any; ties: the older."""
-    return min(
-        graph.waypoints,
-        key=lambda i: (math.hypot(*(graph.waypoints[i].position[:2] - (x, y))), id_order(i)),
-        default=None,
+def nearest_waypoints(graph: GraphView, x: float, y: float, count: int) -> tuple[str, ...]:
+    """The `count` waypoints nearest to a place on the floor (world metres), in order; ties: the older."""
+    return tuple(
+        heapq.nsmallest(
+            count,
+            graph.waypoints,
+            key=lambda i: (math.hypot(*(graph.waypoints[i].position[:2] - (x, y))), id_order(i)),
+        )
     )
 
 
-def shortest_path(graph: GraphView, start: str, goal: str) -> tuple[str, ...] | None:
+def shortest_path(
+    graph: GraphView, start: str, goal: str, longest: float = math.inf
+) -> tuple[str, ...] | None:
     """Waypoint ids from `start` to `goal`, both included, the shortest by length; None if there is no way.
 
-    A blocked edge (`blocked: true`) is no way. Of equally long ways the one through older waypoints is taken.
+    Ways longer than `longest` metres are not looked for, so that the search stays around `start`. A blocked
+    edge (`blocked: true`) is no way. Of equally long ways the one through older waypoints is taken.
     """
     if start not in graph.waypoints or goal not in graph.waypoints:
         return None
@@ -44,8 +49,9 @@ def shortest_path(graph: GraphView, start: str, goal: str) -> tuple[str, ...] | 
         if node == goal:
             return _walk_back(came_from, goal)
         for edge, other in _open_edges(graph, node):
-            if other not in came_from:
-                heapq.heappush(queue, (length + edge_length(graph, edge), id_order(other), other, node))
+            further = length + edge_length(graph, edge)
+            if other not in came_from and further <= longest:
+                heapq.heappush(queue, (further, id_order(other), other, node))
     return None
 
 

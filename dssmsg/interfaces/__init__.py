@@ -9,7 +9,7 @@ from dssmsg.interfaces.context import Context
 from dssmsg.interfaces.diagnosis import Diagnosis, Finding
 from dssmsg.interfaces.encoder import Encoder
 from dssmsg.interfaces.grounding import Grounding, TargetEdge, TargetGraph, TargetNode
-from dssmsg.interfaces.llm import Answer, Llm, Message
+from dssmsg.interfaces.llm import Answer, Exchange, Llm, Message, TellsExchanges
 from dssmsg.interfaces.navigation import Navigation, Step
 from dssmsg.interfaces.observer import Observer
 from dssmsg.interfaces.perception import Box, Detector, Perception, Segmenter, Tagger
@@ -42,6 +42,7 @@ __all__ = [
     "Detector",
     "Diagnosis",
     "Encoder",
+    "Exchange",
     "Finding",
     "Grounding",
     "Llm",
@@ -58,6 +59,7 @@ __all__ = [
     "TargetEdge",
     "TargetGraph",
     "TargetNode",
+    "TellsExchanges",
     "Update",
     "UpdateResult",
 ]

@@ -38,8 +38,11 @@ class Context:
     run_dir: Path
     """Where recordings of this run land (`recording.directory`)."""
     run_id: str
-    build: Callable[[str, Any], Any]
-    """`build(kind, slot)`: the plug-in of `kind` that the slot names."""
+    build: Callable[..., Any]
+    """`build(kind, slot)`: the plug-in of `kind` that the slot names; with `option="fallback"` where the
+    option that holds the slot is not called like its kind."""
     source: SourceInfo | None = None
     encoder: Encoder | None = None
     llm: Llm | None = None
+    timeout_secs: float = 30.0
+    """Seconds after which the run ends when a call of the plug-in has not returned (`timeout_secs`)."""

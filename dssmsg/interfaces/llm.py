@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -24,10 +24,40 @@ class Answer:
     tokens: int | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Exchange:
+    """One exchange on the way to an answer, failed ones too: what was sent and what came of it.
+
+    `error` is empty where the answer was accepted; `attempt` counts the exchanges of one question from 1;
+    `fallback_for` names the provider that failed where this one stood in. No key is in any of the texts.
+    """
+
+    provider: str
+    messages: tuple[Message, ...]
+    text: str = ""
+    error: str = ""
+    tokens: int | None = None
+    seconds: float = 0.0
+    attempt: int = 1
+    fallback_for: str = ""
+
+
 @runtime_checkable
 class Llm(Protocol):
     """Messages + JSON schema -> validated object."""
 
     def complete(self, role: str, messages: Sequence[Message], schema: Mapping[str, Any]) -> Answer:
         """Answer for a role (`target_graph`, `dynamic_attribute`); raises PluginError when there is none."""
+        ...
+
+
+@runtime_checkable
+class TellsExchanges(Protocol):
+    """An `llm` that may need several exchanges for one answer, and tells each as soon as it is over.
+
+    The host records one call per exchange then, instead of one per answer.
+    """
+
+    def tell_exchanges(self, tell: Callable[[Exchange], None]) -> None:
+        """Call `tell` for every exchange from now on, on the thread that asked."""
         ...

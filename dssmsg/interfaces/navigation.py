@@ -15,8 +15,11 @@ from dssmsg.interfaces.source import Command
 class Step:
     """What to do next. `outcome` is empty while under way, `success`, or the named reason of the end.
 
-    `state` is one word for the timeline (turn, drive, look, detour, replan, arrived);
-    `path` the waypoint ids still to visit, the goal last.
+    `state` is one word for the timeline (turn, drive, detour, inspect, replan, look, arrived);
+    `path` the waypoint ids still to visit, the goal last; `goal` the viewpoint that is driven to.
+    `at_stop`: the frame this step was made from was taken while standing and looking on purpose, at the goal
+    (state look) or at an obstacle (inspect). Such frames become key frames, and whoever asked for the drive
+    judges by those of state look whether what was sought is there.
     """
 
     command: Command
@@ -25,6 +28,8 @@ class Step:
     changes: tuple[Change, ...] = ()
     outcome: str = ""
     detail: str = ""
+    goal: str = ""
+    at_stop: bool = False
 
 
 @runtime_checkable
@@ -32,7 +37,7 @@ class Navigation(Protocol):
     """Drives to a viewpoint over the waypoint topology. The graph is `context.graph`."""
 
     def start(self, frame: Frame, goals: Sequence[str]) -> None:
-        """Begin an episode: viewpoint ids, most wanted first."""
+        """Begin to drive: viewpoint ids, most wanted first. May be called again within an episode."""
         ...
 
     def step(self, frame: Frame) -> Step:

@@ -23,13 +23,17 @@ class Perception(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Box:
-    """A detector's output: xyxy (4,) pixels, label, score 0..1; `mask` where the detector gives one."""
+    """A detector's output: xyxy (4,) pixels, label, score 0..1; `mask` where the detector gives one.
+
+    `label_scores` are the labels that were considered, best first, where the detector tells them.
+    """
 
     xyxy: FloatArray
     label: str
     score: float
     mask: MaskArray | None = None
     image_feature: Float32Array | None = None
+    label_scores: tuple[tuple[str, float], ...] = ()
 
 
 @runtime_checkable

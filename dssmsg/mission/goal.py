@@ -39,13 +39,13 @@ TARGET_GRAPH_SCHEMA: Mapping[str, Any] = {
                 "additionalProperties": False,
                 "required": ["source", "target", "relation"],
                 "properties": {
-                    "source": {"type": "integer", "minimum": 0},
-                    "target": {"type": "integer", "minimum": 0},
+                    "source": {"type": "integer", "minimum": 0, "x-index-of": "nodes"},
+                    "target": {"type": "integer", "minimum": 0, "x-index-of": "nodes"},
                     "relation": {"type": "string", "maxLength": 40},
                 },
             },
         },
-        "core": {"type": "integer", "minimum": 0},
+        "core": {"type": "integer", "minimum": 0, "x-index-of": "nodes"},
     },
 }
 

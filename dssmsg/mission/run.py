@@ -35,14 +35,14 @@ from dssmsg.interfaces import Command, Observer, SourceInfo
 from dssmsg.lift import Lifter
 from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.checked_encoder import CheckedEncoder
-from dssmsg.mission.drive import Driver
 from dssmsg.mission.identity import installed_versions, new_run_id
 from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
 from dssmsg.mission.llm_log import LoggedLlm
 from dssmsg.mission.log_events import logged_as_events
 from dssmsg.mission.pipeline import Pipeline, Plugins
-from dssmsg.mission.seek import Seeker
+from dssmsg.mission.seek import EpisodeLimits, Seeker
 from dssmsg.mission.survey import Surveyor
+from dssmsg.navigation.drive import Driver
 
 _log = logging.getLogger("dssmsg.mission")
 
@@ -100,6 +100,7 @@ class Mission:
             config.base_dir,
             Path(config.recording.directory),
             self._run_id,
+            timeout_secs=config.timeout_secs,
         )
         self._built: dict[str, Built] = {}
         with config.naming_files():
@@ -252,7 +253,8 @@ class Mission:
             if self._is_out_of_frames():
                 break
             if phase == "seek":
-                self._begin("seek", max(self._visit, 0))
+                later = self._config.mission.seek_visit == "next"
+                self._begin("seek", max(self._visit + later, 0))
                 self._seek()
             else:
                 self._begin(phase, self._visit + 1)
@@ -309,7 +311,7 @@ class Mission:
         self._skipped_stops += surveyor.skipped
 
     def _seek(self) -> None:
-        built = self._built
+        built, mission = self._built, self._config.mission
         assert self._contexts.llm is not None  # built before any phase
         seeker = Seeker(
             llm=self._contexts.llm,
@@ -320,8 +322,10 @@ class Mission:
             pipeline=self._pipeline,
             guard=self._guard,
             bus=self._bus,
-            advance=self._advance,
-            max_frames=self._config.mission.max_frames,
+            capture=self._capture,
+            take=self._take,
+            collisions=lambda: self._collisions,
+            limits=EpisodeLimits(mission.candidates, mission.episode_secs, mission.episode_metres),
         )
         frame = self._frame or self._advance(Command())
         for goal in self._config.mission.goals:

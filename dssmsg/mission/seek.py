@@ -1,16 +1,24 @@
-"""The seek phase: a sentence, its target graph, the best viewpoint, and the drive there (ALGORITHM D, E)."""
+"""The seek phase: a sentence, its target graph, the best viewpoint, the drive there, a look (ALGORITHM D, E).
+
+The robot judges by sight: an episode is a success when the object that was taken for the core target, or
+another of its name, is observed from the goal viewpoint. Where it is not, or no way leads there, the next
+candidate is tried. Touching anything ends the episode, whatever it sees.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 from dssmsg import checks
-from dssmsg.events import EpisodeEnded, Matched, NavigationChanged
+from dssmsg.events import Candidate, EpisodeEnded, Matched, NavigationChanged
 from dssmsg.frame import Frame
+from dssmsg.geometry import box_distance
+from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.guard import Guard
-from dssmsg.interfaces import Command, Grounding, Llm, Navigation, TargetGraph
+from dssmsg.interfaces import Command, Grounding, Llm, Navigation, Step, TargetGraph
 from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.goal import (
     TARGET_GRAPH_SCHEMA,
@@ -19,14 +27,59 @@ from dssmsg.mission.goal import (
     target_graph_request,
 )
 from dssmsg.mission.pipeline import Pipeline
+from dssmsg.navigation.pose import floor_place
+
+SUCCESS, SEEN = "success", "seen"
+IN_VIEW_M = 4.0
+"""Nearer than this an object counts as in view (ALGORITHM, Scores)."""
+_LOOKS_AN_OBJECT = 2
+"""An object that was missed from so many viewpoints is not looked for again."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeLimits:
+    """After so many viewpoints, seconds of sim time or metres driven an episode ends."""
+
+    candidates: int = 5
+    secs: float = 300.0
+    metres: float = 100.0
+
+
+@dataclass(slots=True)
+class _Trip:
+    """What an episode has cost so far, and where the robot is: its newest frame."""
+
+    frame: Frame
+    began: float
+    collisions: int
+    frames: int = 0
+    metres: float = 0.0
+    replans: int = 0
+    detours: int = 0
+    tried: int = 0
+    missed: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def secs(self) -> float:
+        return self.frame.sim_time - self.began
+
+    def values(self) -> dict[str, float]:
+        return {
+            "frames": float(self.frames),
+            "seconds": round(self.secs, 3),
+            "metres": round(self.metres, 3),
+            "replans": float(self.replans),
+            "detours": float(self.detours),
+            "viewpoints": float(self.tried),
+        }
 
 
 @dataclass(slots=True)
 class Seeker:
     """Carries out one episode a goal. An episode always ends with an outcome: success or a named reason.
 
-    `advance(command)` steps the source and pushes the frame through the pipeline; None when there are no
-    more frames.
+    `capture(command)` steps the source and gives its frame, None when there are no more; `take(frame,
+    command)` pushes it through the pipeline; `collisions()` counts contacts so far.
     """
 
     llm: Llm
@@ -37,37 +90,34 @@ class Seeker:
     pipeline: Pipeline
     guard: Guard
     bus: ObserverBus
-    advance: Callable[[Command], Frame | None]
-    max_frames: int
+    capture: Callable[[Command], Frame | None]
+    take: Callable[[Frame, Command], None]
+    collisions: Callable[[], int]
+    limits: EpisodeLimits = EpisodeLimits()
 
     def seek(self, episode: int, goal: str, frame: Frame) -> tuple[EpisodeEnded, Frame]:
         """One episode from where the robot stands; returns its end and the last frame."""
-        reason, target = "", None
+        trip = _Trip(frame, frame.sim_time, self.collisions())
         with self.pipeline.stage("llm"):
             target = self._target(goal)
-        goals: tuple[str, ...] = ()
         if target is None:
             reason = "no target graph"
         else:
             with self.pipeline.stage("grounding"):
-                goals = self._ground(target, frame)
-            if not goals:
-                reason = "no match"
-        frames = 0
-        if not reason:
-            reason, frame, frames = self._drive(goals, frame)
-        outcome = "success" if reason == "success" else "failure"
+                candidates = self._ground(target, frame)
+            reason = self._search(target, candidates, trip) if candidates else "no match"
+        success = reason == SUCCESS
         ended = EpisodeEnded(
             episode,
             goal,
-            outcome,
-            "" if outcome == "success" else reason,
-            frame.index,
-            frame.sim_time,
-            {"frames": float(frames)},
+            "success" if success else "failure",
+            "" if success else reason,
+            trip.frame.index,
+            trip.frame.sim_time,
+            trip.values(),
         )
         self.bus.tell(ended)
-        return ended, frame
+        return ended, trip.frame
 
     def _target(self, goal: str) -> TargetGraph | None:
         def ask() -> TargetGraph:
@@ -77,8 +127,8 @@ class Seeker:
         target: TargetGraph | None = self.guard.call(self.names["llm"], "complete", ask, default=None)
         return target
 
-    def _ground(self, target: TargetGraph, frame: Frame) -> tuple[str, ...]:
-        candidates = self.guard.call(
+    def _ground(self, target: TargetGraph, frame: Frame) -> tuple[Candidate, ...]:
+        candidates: Sequence[Candidate] = self.guard.call(
             self.names["grounding"],
             "ground",
             lambda: self.grounding.ground(target),
@@ -88,37 +138,125 @@ class Seeker:
         self.bus.tell(
             Matched(target.text, frame.index, frame.sim_time, target_graph_json(target), tuple(candidates))
         )
-        return tuple(candidate.viewpoint_id for candidate in candidates)
+        return tuple(candidates)
 
-    def _drive(self, goals: tuple[str, ...], frame: Frame) -> tuple[str, Frame, int]:
-        name, failed = self.names["navigation"], object()
-        state, frames = "", 0
-        if (
-            self.guard.call(name, "start", lambda: self.navigation.start(frame, goals), default=failed)
-            is failed
-        ):
-            return "navigation failed", frame, frames
-        while frames < self.max_frames:
-            current = frame
-            with self.pipeline.stage("navigation"):
-                step = self.guard.call(
-                    name,
-                    "step",
-                    lambda: self.navigation.step(current.without_truth()),  # noqa: B023 - called at once
-                    check=checks.check_step,
-                    default=None,
-                )
-            if step is None:
-                return "navigation failed", frame, frames
+    def _search(self, target: TargetGraph, candidates: tuple[Candidate, ...], trip: _Trip) -> str:
+        """Drive to one candidate after the other until the target is seen; `success` or the reason."""
+        core, waiting, reason = str(target.core), list(candidates), "no match"
+        while trip.tried < self.limits.candidates:
+            waiting = self._worth_trying(waiting, core, trip)
+            if not waiting:
+                break
+            trip.tried += 1
+            outcome, viewpoint_id = self._drive(waiting, core, trip)
+            if outcome == SEEN:
+                return SUCCESS
+            if outcome != SUCCESS:
+                # Where it has looked in vain the match was wrong, however the drive to the next one ends.
+                return reason if outcome == "no path" and reason == "wrong match" else outcome
+            reason = "wrong match"
+            places = [candidate.viewpoint_id for candidate in waiting]
+            at = places.index(viewpoint_id) if viewpoint_id in places else 0
+            missing = waiting[at].matching.get(core, "")
+            trip.missed[missing] = trip.missed.get(missing, 0) + 1
+            self._tell(trip.frame, "missing", f"{missing or 'the target'} is not in view from {viewpoint_id}")
+            waiting = waiting[at + 1 :]
+        return reason
+
+    def _worth_trying(self, waiting: list[Candidate], core: str, trip: _Trip) -> list[Candidate]:
+        """Candidates still in the graph whose core object may be there; else those of vanished objects."""
+        left = [
+            candidate
+            for candidate in waiting
+            if candidate.viewpoint_id in self.graph.viewpoints
+            and trip.missed.get(candidate.matching.get(core, ""), 0) < _LOOKS_AN_OBJECT
+        ]
+        present = [candidate for candidate in left if self._is_there(candidate.matching.get(core))]
+        return present or left
+
+    def _is_there(self, object_id: str | None) -> bool:
+        node = None if object_id is None else self.graph.objects.get(object_id)
+        return object_id is None or (node is not None and node.state != DISAPPEARED)
+
+    # -- driving ----------------------------------------------------------------------------------------
+
+    def _drive(self, waiting: Sequence[Candidate], core: str, trip: _Trip) -> tuple[str, str]:
+        """Follow navigation's commands; how it ended and which viewpoint it drove to.
+
+        `seen`: the target is in view; `success`: the viewpoint was reached and looked from, in vain.
+        """
+        goals = [candidate.viewpoint_id for candidate in waiting]
+        matched = {candidate.viewpoint_id: candidate.matching.get(core) for candidate in waiting}
+        name, failed, state = self.names["navigation"], object(), ""
+        begun = self.guard.call(
+            name, "start", lambda: self.navigation.start(trip.frame, goals), default=failed
+        )
+        if begun is failed:
+            return "navigation failed", ""
+        step = self._step(trip.frame)
+        while step is not None:
             if step.changes:
-                self.pipeline.apply_changes(name, frame, step.changes)
+                self.pipeline.apply_changes(name, trip.frame, step.changes)
             if step.state != state or step.outcome:
+                trip.replans += step.state == "replan"
+                trip.detours += step.state == "detour"
                 state = step.state
-                self.bus.tell(NavigationChanged(frame.index, frame.sim_time, state, step.detail, step.path))
+                self.bus.tell(
+                    NavigationChanged(trip.frame.index, trip.frame.sim_time, state, step.detail, step.path)
+                )
+            goal = step.goal or goals[0]
+            if step.at_stop and (state == "look" or step.outcome == SUCCESS):
+                seen = self._sighted(matched.get(goal), trip.frame)
+                if seen is not None:
+                    self._tell(trip.frame, SEEN, f"{seen.id} ({seen.label}) from {goal}")
+                    return SEEN, goal
             if step.outcome:
-                return step.outcome, frame, frames
-            following = self.advance(step.command)
+                return step.outcome, goal
+            if trip.secs > self.limits.secs or trip.metres > self.limits.metres:
+                return "out of time", goal
+            following = self.capture(step.command)
             if following is None:
-                return "out of time", frame, frames
-            frame, frames = following, frames + 1
-        return "out of time", frame, frames
+                return "out of time", goal
+            previous = trip.frame
+            # Navigation says of the new frame whether it was taken looking; only then is it put into the map.
+            command, step = step.command, self._step(following)
+            trip.frame = replace(following, at_stop=step is not None and step.at_stop)
+            trip.frames += 1
+            trip.metres += math.dist(floor_place(previous), floor_place(following))
+            self.take(trip.frame, command)
+            if self.collisions() > trip.collisions:
+                return "collision", goal
+        return "navigation failed", ""
+
+    def _step(self, frame: Frame) -> Step | None:
+        with self.pipeline.stage("navigation"):
+            self.guard.at(frame.index, frame.sim_time)
+            step: Step | None = self.guard.call(
+                self.names["navigation"],
+                "step",
+                lambda: self.navigation.step(frame.without_truth()),
+                check=checks.check_step,
+                default=None,
+            )
+        return step
+
+    def _sighted(self, object_id: str | None, frame: Frame) -> ObjectNode | None:
+        """The object itself if this frame observed it, else one of the same label that it observed."""
+        wanted = None if object_id is None else self.graph.objects.get(object_id)
+        if wanted is None:
+            return None
+        alike = [
+            node
+            for node in self.graph.objects.values()
+            if node.label == wanted.label and self._is_in_view(node, frame)
+        ]
+        return next((node for node in alike if node.id == object_id), alike[0] if alike else None)
+
+    @staticmethod
+    def _is_in_view(node: ObjectNode, frame: Frame) -> bool:
+        if node.state == DISAPPEARED or frame.index not in node.frames[-1:]:
+            return False
+        return float(box_distance(frame.position, frame.position, node.box_min, node.box_max)) <= IN_VIEW_M
+
+    def _tell(self, frame: Frame, state: str, detail: str) -> None:
+        self.bus.tell(NavigationChanged(frame.index, frame.sim_time, state, detail))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from dssmsg.frame import Frame
 from dssmsg.interfaces import Command, Stop
-from dssmsg.mission.drive import Driver, base_heading, wrap_angle
+from dssmsg.navigation.drive import Driver, base_heading, wrap_angle
 
 DRIVE_TILT_RAD = math.radians(-20)
 """While driving the camera looks 20 degrees down: obstacles first (SIMULATOR, "Robot")."""

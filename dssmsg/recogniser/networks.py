@@ -19,6 +19,7 @@ from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS
 
 PLUGIN = "perception/furniture"
 CARD = "weights.json"
+NETWORKS = ("masks.onnx", "crops.onnx")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,35 @@ def read_card(folder: Path | None = None) -> tuple[Card, Path]:
     return card, place
 
 
+def checked_content(path: Path, sha256: str) -> bytes:
+    """The content of a file; raises PluginError where it is missing or not the one that the card names."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise PluginError(
+            f"the network is missing or cannot be read: {error.strerror or error}",
+            plugin=PLUGIN, file=path, key="perception.weights",
+        ) from None  # fmt: skip
+    found = hashlib.sha256(content).hexdigest()
+    if found != sha256:
+        raise PluginError(
+            f"expected the network with SHA-256 {sha256[:12]}..., got {found[:12]}...",
+            plugin=PLUGIN, file=path, key="perception.weights",
+        )  # fmt: skip
+    return content
+
+
+def weights_problem(folder: Path | None) -> PluginError | None:
+    """What is wrong with the card or the files of the weights, without loading them; None if nothing is."""
+    try:
+        card, place = read_card(folder)
+        for name in NETWORKS:
+            checked_content(place / name, card.sums.get(name, ""))
+    except PluginError as error:
+        return error
+    return None
+
+
 def open_session(place: Path, name: str, sha256: str, threads: int) -> Any:
     """An onnxruntime session of a file whose content is the one that the card names.
 
@@ -66,15 +96,7 @@ def open_session(place: Path, name: str, sha256: str, threads: int) -> Any:
     import onnxruntime
 
     path = place / name
-    if not path.is_file():
-        raise PluginError("the network is missing", plugin=PLUGIN, file=path, key="perception.weights")
-    content = path.read_bytes()
-    found = hashlib.sha256(content).hexdigest()
-    if found != sha256:
-        raise PluginError(
-            f"expected the network with SHA-256 {sha256[:12]}..., got {found[:12]}...",
-            plugin=PLUGIN, file=path, key="perception.weights",
-        )  # fmt: skip
+    content = checked_content(path, sha256)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-import yaml
-
+from dssmsg.config_yaml import parse_yaml
 from dssmsg.errors import ConfigError, InputError
 from dssmsg.sim.furniture import FurnitureLibrary
 from dssmsg.sim.furniture.cache import MeshCache
@@ -42,7 +41,7 @@ class ShelfModel:
 def load_table() -> Mapping[str, Any]:
     """`extra`, `ambiguous`, `held_out` and `seeds` of the packaged table."""
     text = resources.files("dssmsg").joinpath(TABLE).read_text("utf-8")
-    table: Mapping[str, Any] = yaml.safe_load(text)
+    table: Mapping[str, Any] = parse_yaml(text, file=TABLE)
     return table
 
 

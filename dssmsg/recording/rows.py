@@ -257,6 +257,8 @@ def llm_row(event: events.LlmCalled) -> Row:
                 "error": event.error,
                 "tokens": event.tokens,
                 "seconds": event.seconds,
+                "attempt": event.attempt,
+                "fallback_for": event.fallback_for,
             }
         ),
     }

@@ -164,6 +164,7 @@ class _Change(_Part):
     during_visit: int | None = Field(default=None, ge=0, description="made while this visit is driven")
     at_stop: Name | None = Field(default=None, description="when the robot comes within 0.3 m of this stop")
     at_time: float | None = Field(default=None, ge=0.0, description="sim seconds after the visit began")
+    tag: str = Field(default="", max_length=20, description="what it is an example of: near, far, swap, ...")
 
     @model_validator(mode="after")
     def _one_time(self) -> _Change:
@@ -202,7 +203,28 @@ class Relocate(_Change):
     to: Placement = Field(description="its new place")
 
 
-Change = Annotated[Appear | Disappear | Relocate, Field(discriminator="kind")]
+class DoorChange(_Change):
+    """A door is closed, or stands open again. One without a leaf slides out of the wall."""
+
+    kind: Literal["door"]
+    door: Name = Field(description="the door")
+    closed: bool = Field(default=True, description="false: opened again")
+
+    @model_validator(mode="after")
+    def _between_visits(self) -> DoorChange:
+        if self.before_visit is None:
+            raise ValueError("a door changes between visits: give `before_visit`")
+        return self
+
+
+class LightChange(_Change):
+    """The light changes in the whole home; 1 is how every scene begins."""
+
+    kind: Literal["light"]
+    level: float = Field(ge=0.1, le=1.5, description="what all colours are multiplied by, up to white")
+
+
+Change = Annotated[Appear | Disappear | Relocate | DoorChange | LightChange, Field(discriminator="kind")]
 
 
 class Query(_Part):
@@ -251,8 +273,10 @@ class Scene(_Part):
             if place is not None:
                 _known(f"changes.{index}.on", [place.on] if place.on else [], pieces)
                 _known(f"changes.{index}.wall", [place.wall.split(".")[0]] if place.wall else [], rooms)
-            if not isinstance(change, Appear):
+            if isinstance(change, Disappear | Relocate):
                 _known(f"changes.{index}.object", [change.object], pieces)
+            if isinstance(change, DoorChange):
+                _known(f"changes.{index}.door", [change.door], {door.name for door in self.doors})
             _known(f"changes.{index}.at_stop", [change.at_stop] if change.at_stop else [], stops)
         for index, query in enumerate(self.queries):
             _known(f"queries.{index}.targets", query.targets, pieces)

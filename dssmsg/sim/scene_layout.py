@@ -8,6 +8,7 @@ cell meets a wall cell, in the room's own colour, so that each side of a wall ma
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,8 +67,11 @@ class Layout:
     openings: tuple[Opening, ...]
 
 
-def build_layout(scene: Scene) -> Layout:
-    """The structure of `scene`; InputError where a door's rooms do not face each other across a wall."""
+def build_layout(scene: Scene, closed: Collection[str] = ()) -> Layout:
+    """The structure of `scene` with the doors named in `closed` shut and the others as the file has them.
+
+    InputError where a door's rooms do not face each other across a wall.
+    """
     openings = tuple(_opening(scene, door) for door in scene.doors)
     xs, ys = _cuts(scene, openings)
     room_of, wall = _classify(scene, openings, xs, ys)
@@ -81,7 +85,7 @@ def build_layout(scene: Scene) -> Layout:
         if gap > 0.01:
             z = opening.door.height + gap / 2
             solids.append(Solid((*opening.center, z), (*_half(opening.low, opening.high), gap / 2)))
-        leaf = _leaf(scene, opening)
+        leaf = _shut(opening) if opening.door.name in closed else _leaf(scene, opening)
         if leaf is not None:
             solids.append(leaf)
             turn = np.eye(4)
@@ -206,6 +210,14 @@ def _leaf(scene: Scene, opening: Opening) -> Solid | None:
         (length / 2, LEAF_THICKNESS / 2, height / 2),
         math.atan2(direction[1], direction[0]),
     )
+
+
+def _shut(opening: Opening) -> Solid:
+    """The closed leaf: it fills the opening in the middle of the wall."""
+    half = list(_half(opening.low, opening.high))
+    half[opening.axis] = LEAF_THICKNESS / 2
+    height = opening.door.height
+    return Solid((*opening.center, height / 2), (half[0], half[1], height / 2))
 
 
 def _surfaces(

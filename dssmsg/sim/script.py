@@ -1,4 +1,4 @@
-"""What happens in a scene by itself: pieces that appear, disappear and are relocated, at their time."""
+"""What happens in a scene by itself: pieces that come, go and are relocated, doors, light, at their time."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from dssmsg.errors import InputError
-from dssmsg.sim.scene import Appear, Change, Disappear, Scene
+from dssmsg.sim.scene import Appear, Change, Disappear, DoorChange, LightChange, Relocate, Scene
 from dssmsg.sim.scene_placement import Placed, Placer
 
 ARRIVAL_M = 0.3
@@ -22,7 +22,11 @@ class Script:
 
     def touches(self) -> frozenset[str]:
         """Names of all pieces that a change still to come appears, takes away or relocates."""
-        return frozenset(c.piece.id if isinstance(c, Appear) else c.object for c in self._waiting)
+        return frozenset(
+            c.piece.id if isinstance(c, Appear) else c.object
+            for c in self._waiting
+            if isinstance(c, Appear | Disappear | Relocate)
+        )
 
     def before(self, visit: int) -> list[Change]:
         """The changes to make before `visit` begins, those of skipped visits included."""
@@ -54,11 +58,13 @@ class Script:
 
 
 def changed(placed: Mapping[str, Placed], change: Change, placer: Placer) -> dict[str, Placed]:
-    """The pieces after one change; the input is left alone.
+    """The pieces after one change; the input is left alone. Doors and light leave them as they are.
 
     Raises InputError when the piece is (not) there as the change needs it, or carries others.
     """
     after = dict(placed)
+    if isinstance(change, DoorChange | LightChange):
+        return after
     if isinstance(change, Appear):
         if change.piece.id in after:
             raise InputError("is in the scene already", key=f"changes.{change.piece.id}")
@@ -89,3 +95,13 @@ def visit_states(scene: Scene, placer: Placer, visit: int) -> list[dict[str, Pla
         if change.during_visit == visit:
             states.append(changed(states[-1], change, placer))
     return states
+
+
+def closed_doors(scene: Scene, visit: int) -> frozenset[str]:
+    """Names of the doors that are closed during `visit`."""
+    closed: set[str] = set()
+    # Sorting keeps the file's order within a visit, in which changes are made.
+    for change in sorted(scene.changes, key=lambda one: one.before_visit or 0):
+        if isinstance(change, DoorChange) and (change.before_visit or 0) <= visit:
+            (closed.add if change.closed else closed.discard)(change.door)
+    return frozenset(closed)

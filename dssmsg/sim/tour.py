@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from dssmsg.errors import InputError
 from dssmsg.interfaces.source import Stop
 from dssmsg.sim.occupancy import ROBOT_RADIUS, Occupancy
 from dssmsg.sim.scene import Scene
-from dssmsg.sim.scene_layout import Layout
+from dssmsg.sim.scene_layout import Layout, build_layout
 from dssmsg.sim.scene_placement import Placer
-from dssmsg.sim.script import visit_states
+from dssmsg.sim.script import closed_doors, visit_states
 from dssmsg.sim.solid import Solid
 
 DRIVE_SPEED = 0.5
@@ -25,8 +25,33 @@ KEY_FRAMES_A_VIEW = 3
 def tour_of(scene: Scene, visit: int) -> tuple[Stop, ...]:
     """The tour of a visit: as written on even visits, backwards on odd ones.
 
-    Backwards starts where the visit before ended, so nothing is driven only to get back.
+    Backwards starts where the visit before ended, so nothing is driven only to get back. Stops behind
+    closed doors are left out.
     """
+    stops = _in_order(scene, visit)
+    closed = closed_doors(scene, visit)
+    if not closed or not stops:
+        return stops
+    start = tour_of(scene, visit - 1)[-1].room if visit else stops[0].room
+    rooms = joined_rooms(scene, start, closed)
+    return tuple(stop for stop in stops if stop.room in rooms)
+
+
+def joined_rooms(scene: Scene, start: str, closed: Collection[str]) -> frozenset[str]:
+    """Names of the rooms that can be walked to from `start` with some doors closed, itself included."""
+    found, ring = {start}, {start}
+    while ring:
+        ring = {
+            other
+            for door in scene.doors
+            if door.name not in closed and ring & set(door.between)
+            for other in door.between
+        } - found
+        found |= ring
+    return frozenset(found)
+
+
+def _in_order(scene: Scene, visit: int) -> tuple[Stop, ...]:
     stops = tuple(
         Stop(
             name=stop.name,
@@ -88,6 +113,8 @@ def estimate(tour: Sequence[Stop], rate_hz: float = 5.0) -> TourCost:
 
 def visit_solids(scene: Scene, layout: Layout, placer: Placer, visit: int) -> tuple[Solid, ...]:
     """Everything that stands in the way at any time of a visit: structure and all states of the furniture."""
+    if closed := closed_doors(scene, visit):
+        layout = build_layout(scene, closed)
     furniture: dict[tuple[object, ...], Solid] = {}
     for state in visit_states(scene, placer, visit):
         for piece in state.values():

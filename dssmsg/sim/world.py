@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from dssmsg.sim.furniture import FurnitureLibrary
 from dssmsg.sim.occupancy import blocks
 from dssmsg.sim.physics import PHYSICS_HZ, Physics
 from dssmsg.sim.robot import ACTION_STEPS, Robot, RobotSpec
-from dssmsg.sim.scene import Change, Scene
+from dssmsg.sim.scene import Change, DoorChange, LightChange, Scene
 from dssmsg.sim.scene_layout import build_layout
 from dssmsg.sim.scene_placement import Placed, Placer
 from dssmsg.sim.script import Script, changed
@@ -46,18 +47,17 @@ class World:
         self.collisions = 0
         self._script = Script(scene, enabled=scripted)
         self._visit_began = 0.0
+        self._light = 1.0
+        self._closed: set[str] = set()
         self._physics = Physics()
-        for solid in self.layout.solids:
-            self._physics.add(solid)
+        self._structure = [self._physics.add(solid) for solid in self.layout.solids]
         self._bodies: dict[str, int] = {}
         for piece in self.pieces.values():
             self._add_body(piece)
         self.robot = Robot(self._physics, robot or RobotSpec())
         # What the script touches goes into the renderer's small scene, so that a change costs little.
         self.changing = self._script.touches()
-        structure = Instance(0, self.layout.mesh, np.eye(4))
-        fixed = [piece for piece in self.pieces.values() if piece.name not in self.changing]
-        renderer.set_static([structure, *_instances(fixed)])
+        self._show_fixed()
         self._show_loose()
 
     def start_visit(self, visit: int) -> None:
@@ -81,6 +81,12 @@ class World:
         """Carry out changes now, in order."""
         made = False
         for change in changes:
+            if isinstance(change, LightChange):
+                self._light = change.level
+                continue
+            if isinstance(change, DoorChange):
+                self._turn_door(change)
+                continue
             after = changed(self.pieces, change, self.placer)
             for name in sorted(set(self.pieces) | set(after)):
                 if self.pieces.get(name) is not after.get(name):
@@ -99,6 +105,9 @@ class World:
         """What the robot's camera (or one at `world_from_camera` (4, 4)) sees now, and the truth of it."""
         pose = self.robot.world_from_camera if world_from_camera is None else world_from_camera
         render = self.renderer.render(camera, pose)
+        if self._light != 1.0:
+            lit = np.minimum(render.rgb * np.float32(self._light), 255.0).astype(np.uint8)
+            render = replace(render, rgb=lit)
         return render, Truth(render.instance_ids, self.truth_log.objects())
 
     def close(self) -> None:
@@ -109,6 +118,21 @@ class World:
     def _add_body(self, piece: Placed) -> None:
         if blocks(piece.solid):
             self._bodies[piece.name] = self._physics.add(piece.solid)
+
+    def _turn_door(self, change: DoorChange) -> None:
+        """Doors belong to the structure, which is built anew: they only move between visits."""
+        (self._closed.add if change.closed else self._closed.discard)(change.door)
+        self.layout = build_layout(self.scene, self._closed)
+        for body in self._structure:
+            self._physics.remove(body)
+        self._structure = [self._physics.add(solid) for solid in self.layout.solids]
+        self._show_fixed()
+        self.robot.probe()
+
+    def _show_fixed(self) -> None:
+        structure = Instance(0, self.layout.mesh, np.eye(4))
+        fixed = [piece for piece in self.pieces.values() if piece.name not in self.changing]
+        self.renderer.set_static([structure, *_instances(fixed)])
 
     def _show_loose(self) -> None:
         self.renderer.set_movable(_instances(p for p in self.pieces.values() if p.name in self.changing))

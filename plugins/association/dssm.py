@@ -20,10 +20,11 @@ from scipy.spatial import KDTree
 from dssmsg.frame import Frame, Observation
 from dssmsg.geometry import Sight, grow_box, points_in_box, sight_of_points
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectMerged, ObjectsJoined, Score
+from dssmsg.graph.evidence import SightRule, View, look_at, telling
 from dssmsg.graph.fusion import appended, counted
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.joining import Join, aligned_pieces, contained_pieces
-from dssmsg.graph.nodes import BELIEVED, ObjectNode
+from dssmsg.graph.nodes import BELIEVED, DISAPPEARED, ObjectNode
 from dssmsg.graph.scoring import (
     assign,
     confidence,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
 PLUGIN = "association/dssm"
+_SIGHT = SightRule()
 
 
 class DssmConfig(PluginConfig):
@@ -70,6 +72,12 @@ class DssmConfig(PluginConfig):
     min_votes: float = Field(2.0, gt=0, description="Summed scores of the label that halve the doubt once.")
     min_views: float = Field(2.0, gt=0, description="Distinct viewpoints that halve the doubt once.")
     merge_every: int = Field(20, ge=1, description="Key frames between two passes that join split objects.")
+    max_free_share: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="No merge where this share of the object in view is shown free: it moved.",
+    )
     join_containment: float = Field(
         0.5, ge=0, le=1, description="Share of the smaller object's points on the larger that joins the two."
     )
@@ -183,11 +191,14 @@ class DssmAssociation:
         """Scores against every object that the observation's box, grown by the tolerance, touches."""
         tolerance = neighbour_tolerance(observation.range_m, self._noise)
         observation_tree: KDTree | None = None
+        view: View | None = None
         pairs = []
         for object_id in self._graph.objects_touching(
             *grow_box(observation.box_min, observation.box_max, tolerance)
         ):
             node = self._graph.objects[object_id]
+            if node.state == DISAPPEARED:
+                continue  # what is seen in its place is another thing, until the update finds it is the same
             s_sem = semantic_similarity(
                 observation.label, observation.text_feature, node.label, node.text_feature, self._unnamed
             )
@@ -202,6 +213,12 @@ class DssmAssociation:
                 overlap = min(s_geo, self._covered(frame, node, observation_tree, tolerance))
             enough = alike or (overlap is not None and overlap >= self._config.merge_min_overlap)
             allowed = 0.0 < s_geo >= needed and enough
+            if allowed and not self._config.paper_exact and node.observations > 1:
+                view = view or View.of(frame)
+                allowed = (
+                    look_at(node.points[telling(node.points)], view, self._noise, _SIGHT).free
+                    < self._config.max_free_share
+                )
             pairs.append(_Pair(object_id, s_geo, s_sem, overlap, allowed, exact))
         return pairs
 

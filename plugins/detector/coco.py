@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 MODEL = "coco"
 SIDE = 416
 STRIDES = (8, 16, 32)
+CONSIDERED = 5
+"""How many classes of a box are told, the best one among them."""
 OUTPUTS = tuple(f"{part}_{stride}" for stride in STRIDES for part in ("cls", "reg"))
 MEAN_BGR = np.array([103.53, 116.28, 123.675], dtype=np.float32)
 SCALE_BGR = np.array([57.375, 57.12, 58.395], dtype=np.float32)
@@ -117,7 +119,7 @@ class CocoDetector:
         outputs = dict(
             zip(OUTPUTS, self._model.run({"images": model_input(frame.rgb)}, OUTPUTS), strict=True)
         )
-        corners, scores, classes = decode(outputs, wanted, self._config.score)
+        corners, scores, classes, chances = decode(outputs, wanted, self._config.score)
         height, width = frame.depth.shape
         corners = corners * (np.array([width, height, width, height]) / SIDE)
         corners = np.clip(corners, 0.0, [width, height, width, height])
@@ -126,8 +128,19 @@ class CocoDetector:
         kept = kept[nms(corners[kept], scores[kept], np.zeros(len(kept)), config.same_place_iou, len(kept))]
         kept = kept[_not_nested(corners[kept], classes[kept], config.nested)][: config.max_boxes]
         return [
-            Box(corners[place], self._names[classes[place]], min(1.0, float(scores[place]))) for place in kept
-        ]
+            Box(
+                corners[place], self._names[classes[place]], min(1.0, float(scores[place])),
+                label_scores=self._considered(chances[place]),
+            )
+            for place in kept
+        ]  # fmt: skip
+
+    def _considered(self, chances: Float32Array) -> tuple[tuple[str, float], ...]:
+        """The likeliest of the classes (C,), best first."""
+        best = np.argsort(-chances, kind="stable")[:CONSIDERED]
+        return tuple(
+            (self._names[place], min(1.0, float(chances[place]))) for place in best if chances[place]
+        )
 
 
 def model_input(rgb: ByteArray) -> Float32Array:
@@ -139,14 +152,15 @@ def model_input(rgb: ByteArray) -> Float32Array:
 
 def decode(
     outputs: Mapping[str, NDArray[Any]], wanted: NDArray[np.bool_], least: float
-) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-    """Boxes (N, 4) xyxy in pixels of the model's input, scores (N,) and classes (N,), before suppression.
+) -> tuple[FloatArray, FloatArray, NDArray[np.int64], Float32Array]:
+    """Boxes (N, 4) xyxy in pixels of the model's input, scores (N,), classes (N,) and all chances (N, C) of
+    the wanted classes, before suppression.
 
     `outputs` are `cls_s` (1, n, C) probabilities and `reg_s` (1, n, 4 * bins), for each stride s, one row a
     cell, row by row. A side's distance from the cell's centre is the expectation of its distribution over
     0 .. bins - 1 strides. Each cell speaks for the class that suits it best among the `wanted` (C,).
     """
-    corners, scores, classes = [], [], []
+    corners, scores, classes, all_chances = [], [], [], []
     for stride in STRIDES:
         chances = np.where(wanted, outputs[f"cls_{stride}"][0], 0.0)
         best = chances.argmax(axis=1)
@@ -162,7 +176,10 @@ def decode(
         corners.append(np.stack([x - left, y - top, x + right, y + bottom], axis=1))
         scores.append(chances[cells, best[cells]].astype(np.float64))
         classes.append(best[cells])
-    return np.concatenate(corners), np.concatenate(scores), np.concatenate(classes)
+        all_chances.append(chances[cells].astype(np.float32))
+    return (
+        np.concatenate(corners), np.concatenate(scores), np.concatenate(classes), np.concatenate(all_chances),
+    )  # fmt: skip
 
 
 def _not_nested(corners: FloatArray, classes: NDArray[np.int64], share: float) -> NDArray[np.bool_]:

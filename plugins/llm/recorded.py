@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +29,10 @@ class Config(PluginConfig):
 
 
 class Recorded:
-    """Gives recorded answers; the last one that was accepted, where a request was made more than once.
+    """Gives recorded answers, those of a fallback too; no server is asked.
 
-    Raises InputError if the recording does not read.
+    Where a request was made more than once, its answers come in their order, and the last one again after
+    that. Raises InputError if the recording does not read.
     """
 
     def __init__(self, config: Config, context: Context) -> None:
@@ -40,20 +42,26 @@ class Recorded:
         with Recording.open(newest(path) if path.is_dir() else path) as recording:
             calls = recording.llm_calls()
             self._path = recording.path
-        self._answers = {
-            call["request_hash"]: (str(call["answer"]), call.get("tokens")) for call in calls if call["ok"]
-        }
+        self._answers: dict[str, list[tuple[str, int | None]]] = {}
+        for call in calls:
+            if call["ok"]:
+                answer = (str(call["answer"]), call.get("tokens"))
+                self._answers.setdefault(call["request_hash"], []).append(answer)
+        self._given: Counter[str] = Counter()
 
     def complete(self, role: str, messages: Sequence[Message], schema: Mapping[str, Any]) -> Answer:
         """The recorded answer to the same request. Raises PluginError if it was not asked then."""
-        found = self._answers.get(request_hash(role, messages, schema))
-        if found is None:
+        key = request_hash(role, messages, schema)
+        answers = self._answers.get(key)
+        if answers is None:
+            count = sum(map(len, self._answers.values()))
             raise PluginError(
-                f"holds no answer to this {role} request; it has {len(self._answers)} answers",
+                f"holds no answer to this {role} request; it has {count} answers",
                 plugin=PLUGIN,
                 file=self._path,
             )
-        text, tokens = found
+        text, tokens = answers[min(self._given[key], len(answers) - 1)]
+        self._given[key] += 1
         try:
             return Answer(parse_answer(text, schema), text, tokens)
         except ValueError as error:

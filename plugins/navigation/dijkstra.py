@@ -1,35 +1,46 @@
-"""navigation/dijkstra: over the waypoint topology to a viewpoint, in straight lines (ALGORITHM E).
+"""navigation/dijkstra: over the waypoint topology to a viewpoint, round what stands in the way (ALGORITHM E).
 
 Dijkstra over the unblocked path edges, from the nearest waypoint to the goal viewpoint's; drive from one to
-the next, turn to the viewpoint's heading and tilt. Something in the way blocks the edge, and the way is
-planned anew from the waypoint left last. There is no local grid and no way round inside an edge.
+the next in straight lines, as long as a rolling grid of what depth has shown has nothing in the corridor
+ahead. Something there is driven round inside the grid (A*). Where that fails the robot looks at it, so that
+it enters the map, blocks the edge, goes back to the waypoint left last and plans anew. At the goal it looks
+along the viewpoint's heading and tilt, then around.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numpy as np
 from pydantic import Field
 
 from dssmsg.frame import Frame
-from dssmsg.geometry import back_project_world
 from dssmsg.graph.changes import Cause, EdgeChanged, Score
-from dssmsg.graph.paths import edge_key, nearest_waypoint, shortest_path
+from dssmsg.graph.paths import edge_key, nearest_waypoints, shortest_path
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.navigation import Step
 from dssmsg.interfaces.source import Command
-from dssmsg.mission.drive import Driver, base_heading, wrap_angle
+from dssmsg.navigation.detour import DetourOptions, find_detour
+from dssmsg.navigation.drive import Driver, wrap_angle
+from dssmsg.navigation.gaze import Gazes
+from dssmsg.navigation.grid import GridOptions, Point, RollingGrid
+from dssmsg.navigation.pose import floor_place, floor_pose
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
 PLUGIN = "navigation/dijkstra"
-_AHEAD_RAD = 0.3  # the camera sees the way only when the robot faces it
 _ON_EDGE_M = 0.15
 _STILL_M, _STILL_RAD = 0.01, math.radians(1.0)
+_FIRST_WAYPOINTS = 5
+"""So many of the waypoints around the robot are tried as the first one."""
+_INSPECT_RAD = math.radians(7.0)
+_INSPECT_TILT_RAD = math.radians(-12.0)
+_MAX_DETOURS = 6
+"""More detours than this on the way to one waypoint lead nowhere."""
 
 
 class Config(PluginConfig):
@@ -41,34 +52,65 @@ class Config(PluginConfig):
         -20.0, ge=-80, le=60, description="Tilt of the camera while driving, degrees."
     )
     alternatives: int = Field(
-        1,
-        ge=1,
-        description="How many of the ranked viewpoints may be driven to; the next one only if no way leads "
-        "to those before it.",
+        5, ge=1, description="How many viewpoints may be driven to; the next only if no way leads to one."
     )
-    max_secs: float = Field(
-        240.0, gt=0, description="An episode that takes longer ends `out of time`, seconds."
-    )
-    stuck_frames: int = Field(
-        15, ge=2, description="An episode ends `stuck` after so many frames without motion."
-    )
-    max_replans: int = Field(
-        10, ge=0, description="An episode ends `blocked` after planning anew this often."
-    )
-    obstacle_range: float = Field(0.6, ge=0, description="How far ahead the way must be clear, metres.")
+    stuck_frames: int = Field(15, ge=2, description="A drive ends `stuck` after so many frames at rest.")
+    max_replans: int = Field(10, ge=0, description="A drive ends `blocked` after planning anew this often.")
+    obstacle_range: float = Field(1.5, ge=0, description="How far ahead the way must be clear, metres.")
     obstacle_width: float = Field(
-        0.2, gt=0, description="Half the width of the way that must be clear, metres."
+        0.15, gt=0, le=1, description="Half the width of a driven way that must be clear, metres."
     )
     obstacle_height: tuple[float, float] = Field(
         (0.05, 0.9), description="Points between these heights are obstacles, metres above the floor."
     )
     obstacle_points: int = Field(
-        25, ge=1, description="Depth pixels in the way that make an obstacle; fewer are taken as noise."
+        3, ge=1, description="Depth pixels in a 5 cm cell that make an obstacle; fewer are noise."
+    )
+    robot_radius: float = Field(0.18, gt=0, le=1, description="Radius of the robot, metres.")
+    detour: bool = Field(True, description="Whether obstacles are driven round before an edge is given up.")
+    look_around: tuple[tuple[float, float], ...] = Field(
+        ((0, 0), (6, 0), (-6, 0), (35, 0), (0, -20), (-35, 0)),
+        min_length=1,
+        description="Looks at the goal: (heading, tilt) in degrees relative to the viewpoint's.",
     )
 
 
+@dataclass(slots=True)
+class _Drive:
+    """Where a drive stands. `path`: waypoints still to visit; `behind`: the one left last.
+
+    `corners`: what is left of a detour, which leads to the way's point `leg`; `unreachable`: waypoints that
+    could not be got to from where the robot stood without an edge to blame.
+    """
+
+    goals: tuple[str, ...] = ()
+    goal: str = ""
+    path: tuple[str, ...] = ()
+    behind: str | None = None
+    planned: bool = False
+    replans: int = 0
+    detours: int = 0
+    corners: tuple[Point, ...] = ()
+    leg: int = 0
+    unreachable: set[str] = field(default_factory=set)
+    found: _Obstacle | None = None
+    inspecting: Gazes | None = None
+    gazes: Gazes | None = None
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    still: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Obstacle:
+    """Something in the corridor: where, on which leg of the way, in how many cells."""
+
+    place: Point
+    leg: int
+    cells: int
+
+
 class Dijkstra:
-    """Drives one episode at a time; `step` asks for one frame after the other."""
+    """Drives to one viewpoint at a time; `step` asks for one frame after the other."""
 
     def __init__(self, config: Config, context: Context) -> None:
         self._config = config
@@ -82,125 +124,224 @@ class Dijkstra:
             linear_acceleration=linear_acceleration,
             angular_acceleration=angular_acceleration,
         )
-        self._goal = ""
-        self._goals: tuple[str, ...] = ()
-        self._path: tuple[str, ...] = ()
-        self._behind: str | None = None
-        self._planned = False
-        self._replans = 0
-        self._began = 0.0
-        self._pose = (0.0, 0.0, 0.0)
-        self._still = 0
+        low, high = config.obstacle_height
+        noise = GridOptions().noise if source is None else source.depth_noise_m
+        self._grid = RollingGrid(
+            GridOptions(low=low, high=high, min_pixels=config.obstacle_points, noise=noise)
+        )
+        self._round = DetourOptions(radius=config.robot_radius)
+        self._seen: tuple[int, int] | None = None
+        self._now = _Drive()
 
     def start(self, frame: Frame, goals: Sequence[str]) -> None:
-        """Begin an episode: viewpoint ids, most wanted first."""
-        self._goals = tuple(goals[: self._config.alternatives])
-        self._goal, self._path, self._behind, self._planned = "", (), None, False
-        self._replans, self._began = 0, frame.sim_time
-        self._pose, self._still = _pose(frame), 0
+        """Begin a drive: viewpoint ids, most wanted first. What the grid knows of this visit stays known."""
+        self._now = _Drive(self._first_places(goals), pose=floor_pose(frame))
 
     def step(self, frame: Frame) -> Step:
-        """The next command, or the end of the episode: success, no path, blocked, stuck, out of time."""
-        if frame.sim_time - self._began > self._config.max_secs:
-            return self._end(frame, "out of time", f"after {self._config.max_secs:g} s")
+        """The next command, or the end of the drive: success, no path, blocked, stuck."""
+        now = self._now
+        self._look_at_floor(frame)
         if self._is_stuck(frame):
-            return self._end(frame, "stuck", f"no motion in {self._still} frames")
-        if not self._planned:
+            return self._end(frame, "stuck", f"no motion in {now.still} frames")
+        if now.inspecting is not None and now.found is not None:
+            return self._inspect(frame, now.inspecting, now.found)
+        if any(name not in self._graph.waypoints for name in now.path):
+            now.planned, now.corners, now.leg = False, (), 0  # an isolated waypoint has left the map
+        if not now.planned:
             ending = self._plan(frame)
             if ending is not None:
                 return ending
-        while self._path:
-            target = self._xy(self._path[0])
-            obstacle = self._obstacle(frame, target)
-            if obstacle:
-                return self._blocked(frame, obstacle)
-            then = self._xy(self._path[1]) if len(self._path) > 1 else None
-            command = self._driver.drive_to(
-                frame, target, math.radians(self._config.drive_tilt_deg), then=then
-            )
-            if command is not None:
-                state = "turn" if command.linear == 0.0 and command.angular != 0.0 else "drive"
-                return Step(command, state, self._path, detail=f"to {self._path[0]}")
-            self._behind, self._path = self._path[0], self._path[1:]
-        viewpoint = self._graph.viewpoints.get(self._goal)
-        if viewpoint is None:
-            return self._end(frame, "no path", f"{self._goal} is no longer in the graph")
-        command = self._driver.look(frame, viewpoint.heading, viewpoint.tilt)
-        if command is not None:
-            return Step(command, "look", detail=f"along {self._goal}")
-        return self._end(frame, "success", f"at {self._goal}", state="arrived")
+        step = self._drive(frame)
+        return self._look(frame) if step is None else step
+
+    def _first_places(self, goals: Sequence[str]) -> tuple[str, ...]:
+        """The best viewpoint of each of the first waypoints, as many as may be driven to."""
+        best: dict[str, str] = {}
+        for goal in goals:
+            viewpoint = self._graph.viewpoints.get(goal)
+            best.setdefault(goal if viewpoint is None else viewpoint.waypoint_id, goal)
+        return tuple(best.values())[: self._config.alternatives]
+
+    # -- planning -----------------------------------------------------------------------------------------
 
     def _plan(self, frame: Frame) -> Step | None:
-        """Choose the goal and the way to it; the end of the episode if there is none."""
-        x, y, _heading = _pose(frame)
-        start = self._behind or nearest_waypoint(self._graph, x, y)
-        for goal in self._goals:
+        """Choose the goal and the way to it; the end of the drive if there is none."""
+        now, (x, y) = self._now, floor_place(frame)
+        if now.behind is not None and now.behind in self._graph.waypoints:
+            starts: tuple[str, ...] = (now.behind,)
+        else:
+            now.behind = None
+            near = nearest_waypoints(self._graph, x, y, _FIRST_WAYPOINTS + len(now.unreachable))
+            starts = tuple(name for name in near if name not in now.unreachable)
+        for goal in now.goals:
             viewpoint = self._graph.viewpoints.get(goal)
-            path = None
-            if viewpoint is not None and start is not None:
+            if viewpoint is None:
+                continue
+            for start in starts:
                 path = shortest_path(self._graph, start, viewpoint.waypoint_id)
-            if path is not None:
-                self._goal, self._path, self._planned = goal, path, True
-                if self._behind is None and len(path) > 1 and self._is_between(x, y, path[0], path[1]):
-                    self._behind, self._path = path[0], path[1:]
+                if path is None:
+                    continue
+                now.goal, now.path, now.planned, now.detours = goal, path, True, 0
+                if now.behind is None and len(path) > 1 and self._is_between(x, y, path[0], path[1]):
+                    now.behind, now.path = path[0], path[1:]
                 return None
-        if not self._goals:
+        if not now.goals:
             return self._end(frame, "no path", "no goal was given")
-        after = f" after {self._replans} blocked edges" if self._replans else ""
-        return self._end(frame, "no path", f"from {start} to {', '.join(self._goals)}{after}")
+        after = f" after {now.replans} blocked edges" if now.replans else ""
+        if now.unreachable and not starts:
+            return self._end(frame, "blocked", f"no waypoint can be reached from here{after}")
+        place = starts[0] if starts else "nowhere"
+        return self._end(frame, "no path", f"from {place} to {', '.join(now.goals)}{after}")
 
-    def _blocked(self, frame: Frame, obstacle: int) -> Step:
-        """Mark the edge under the robot as blocked and plan anew from where it began."""
-        ahead = self._path[0]
-        edge = None if self._behind is None else self._graph.edges.get(edge_key(self._behind, ahead))
-        detail = f"{obstacle} points in the way to {ahead}"
+    # -- driving ------------------------------------------------------------------------------------------
+
+    def _drive(self, frame: Frame) -> Step | None:
+        """The command along the way; None at its end."""
+        now, tilt = self._now, math.radians(self._config.drive_tilt_deg)
+        while now.path:
+            here, way = floor_place(frame), [self._xy(name) for name in now.path]
+            if self._first_obstacle(here, [*now.corners, *way[now.leg :]]) is not None:
+                detour = None
+                if self._config.detour and now.detours < _MAX_DETOURS:
+                    detour = find_detour(self._grid, here, way, self._round)
+                if detour is None:
+                    now.corners, now.leg = (), 0
+                    return self._blocked(frame, here, way)
+                now.corners, now.leg = detour.corners, detour.leg
+                now.detours += 1
+            points = [*now.corners, *way[now.leg :]]
+            then = points[1] if len(points) > 1 else None
+            command = self._driver.drive_to(frame, points[0], tilt, then=then)
+            if command is not None:
+                state = "turn" if command.linear == 0.0 and command.angular != 0.0 else "drive"
+                state = "detour" if now.corners else state
+                return Step(command, state, now.path, detail=f"to {now.path[0]}", goal=now.goal)
+            self._advance()
+        return None
+
+    def _advance(self) -> None:
+        """A point of the way, or a corner of a detour, was reached."""
+        now, passed = self._now, 1
+        if now.corners:
+            now.corners = now.corners[1:]
+            if now.corners:
+                return
+            passed, now.leg = now.leg, 0
+        if passed:
+            now.behind, now.path, now.detours = now.path[passed - 1], now.path[passed:], 0
+
+    def _first_obstacle(self, here: Point, points: Sequence[Point]) -> _Obstacle | None:
+        """The first thing in the corridor within range."""
+        left = self._config.obstacle_range
+        for leg, (a, b) in enumerate(itertools.pairwise([here, *points])):
+            length = math.dist(a, b)
+            share = min(1.0, left / length) if length > 1e-9 else 1.0
+            end = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+            corridor = self._grid.corridor(a, end, self._config.obstacle_width)
+            if corridor.obstacle is not None:
+                return _Obstacle(corridor.obstacle, leg, corridor.cells)
+            left -= length
+            if left <= 0:
+                break
+        return None
+
+    def _blocked(self, frame: Frame, here: Point, way: Sequence[Point]) -> Step:
+        """No way round: look at what stands there, then give the edge up."""
+        now = self._now
+        now.found = self._first_obstacle(here, way)
+        if now.found is None:  # what was in the way stood on the detour, not on the edge itself
+            return Step(self._stop(frame), "replan", now.path, detail="a detour was closed", goal=now.goal)
+        x, y = now.found.place
+        bearing = math.atan2(y - here[1], x - here[0])
+        turns = (-_INSPECT_RAD, 0.0, _INSPECT_RAD)
+        now.inspecting = Gazes([(bearing + turn, _INSPECT_TILT_RAD) for turn in turns])
+        return self._inspect(frame, now.inspecting, now.found)
+
+    def _inspect(self, frame: Frame, gazes: Gazes, found: _Obstacle) -> Step:
+        """Look at the obstacle; when that is done, block the edge that it stands on."""
+        now = self._now
+        command, at_stop = gazes.advance(frame, self._driver)
+        x, y = found.place
+        detail = f"something at {x:.2f} {y:.2f} on the way to {now.path[min(found.leg, len(now.path) - 1)]}"
+        if command is not None:
+            return Step(command, "inspect", now.path, detail=detail, goal=now.goal, at_stop=at_stop)
+        now.found = now.inspecting = None
+        return self._give_up_edge(frame, found, detail, at_stop)
+
+    def _give_up_edge(self, frame: Frame, found: _Obstacle, detail: str, at_stop: bool) -> Step:
+        """Block the edge under an obstacle, and plan anew from the waypoint left last."""
+        now = self._now
+        path, now.path, now.planned, now.replans = now.path, (), False, now.replans + 1
+        if now.replans > self._config.max_replans:
+            ending = f"{detail}; planned anew {self._config.max_replans} times"
+            return self._end(frame, "blocked", ending, at_stop=at_stop)
+        ends = [now.behind, *path][found.leg : found.leg + 2]
+        edge = None
+        if len(ends) == 2 and ends[0] is not None and ends[1] is not None:
+            edge = self._graph.edges.get(edge_key(ends[0], ends[1]))
         if edge is None:
-            return self._end(frame, "blocked", f"{detail}, and no edge to leave out")
-        self._replans += 1
-        changes = (
-            EdgeChanged(
-                cause=Cause(PLUGIN, "obstacle"),
-                scores=(Score("obstacle_points", float(obstacle), float(self._config.obstacle_points)),),
-                edge=edge.kind,
-                source=edge.source,
-                target=edge.target,
-                attributes={"blocked": True},
+            now.unreachable.add(path[0])
+            now.behind = None
+            return Step(self._stop(frame), "replan", detail=detail, at_stop=at_stop)
+        if found.leg > 0:
+            now.behind = None  # the waypoint before the edge is ahead: the way there is planned from here
+        change = EdgeChanged(
+            cause=Cause(PLUGIN, "obstacle"),
+            scores=(
+                Score("occupied_cells", float(found.cells), 1.0),
+                Score("corridor_half_width_m", self._config.obstacle_width),
             ),
+            edge=edge.kind,
+            source=edge.source,
+            target=edge.target,
+            attributes={"blocked": True, "obstacle": [round(value, 3) for value in found.place]},
         )
-        if self._replans > self._config.max_replans:
-            ending = self._end(frame, "blocked", f"{detail}; planned anew {self._config.max_replans} times")
-            return Step(ending.command, ending.state, (), changes, ending.outcome, ending.detail)
-        self._path, self._planned = (), False
-        return Step(self._stop(frame), "replan", (), changes, detail=detail)
+        return Step(self._stop(frame), "replan", (), (change,), detail=detail, at_stop=at_stop)
 
-    def _obstacle(self, frame: Frame, target: tuple[float, float]) -> int:
-        """How many depth pixels lie in the way to `target`, 0 if fewer than make an obstacle."""
-        x, y, heading = _pose(frame)
-        dx, dy = target[0] - x, target[1] - y
-        distance = math.hypot(dx, dy)
-        if distance < 1e-6 or abs(wrap_angle(math.atan2(dy, dx) - heading)) > _AHEAD_RAD:
-            return 0
-        config = self._config
-        reach = min(config.obstacle_range, distance + config.obstacle_width)
-        close = (frame.depth > 0) & (frame.depth < 2 * reach + 1.0)
-        points = back_project_world(frame.depth, frame.camera, frame.world_from_camera, close)
-        along = ((points[:, 0] - x) * dx + (points[:, 1] - y) * dy) / distance
-        aside = np.abs((points[:, 0] - x) * dy - (points[:, 1] - y) * dx) / distance
-        low, high = config.obstacle_height
-        inside = (along > 0) & (along < reach) & (aside < config.obstacle_width)
-        inside &= (points[:, 2] > low) & (points[:, 2] < high)
-        count = int(np.count_nonzero(inside))
-        return count if count >= config.obstacle_points else 0
+    # -- arriving -----------------------------------------------------------------------------------------
+
+    def _look(self, frame: Frame) -> Step:
+        """Look along the goal viewpoint, and around."""
+        now = self._now
+        if now.gazes is None:
+            viewpoint = self._graph.viewpoints.get(now.goal)
+            if viewpoint is None:
+                return self._end(frame, "no path", f"{now.goal} is no longer in the graph")
+            now.gazes = Gazes(
+                [
+                    (viewpoint.heading + math.radians(turn), viewpoint.tilt + math.radians(tilt))
+                    for turn, tilt in self._config.look_around
+                ]
+            )
+        command, at_stop = now.gazes.advance(frame, self._driver)
+        if command is None:
+            return self._end(frame, "success", f"at {self._now.goal}", state="arrived", at_stop=at_stop)
+        return Step(command, "look", detail=f"along {self._now.goal}", goal=self._now.goal, at_stop=at_stop)
+
+    # -- helpers ------------------------------------------------------------------------------------------
+
+    def _look_at_floor(self, frame: Frame) -> None:
+        """Take a frame's depth into the grid, once; another visit begins with an empty one."""
+        seen = (frame.visit, frame.index)
+        if self._seen == seen:
+            return
+        if self._seen is not None and self._seen[0] != frame.visit:
+            self._grid.forget()
+        self._seen = seen
+        self._grid.observe(frame)
 
     def _is_stuck(self, frame: Frame) -> bool:
-        pose = _pose(frame)
-        moved = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])
-        turned = abs(wrap_angle(pose[2] - self._pose[2]))
-        if moved > _STILL_M or turned > _STILL_RAD:
-            self._pose, self._still = pose, 0
+        pose = floor_pose(frame)
+        moved = math.hypot(pose[0] - self._now.pose[0], pose[1] - self._now.pose[1])
+        turned = abs(wrap_angle(pose[2] - self._now.pose[2]))
+        looking = (
+            self._now.inspecting is not None or self._now.gazes is not None
+        )  # only the mount may turn then
+        if moved > _STILL_M or turned > _STILL_RAD or looking:
+            self._now.pose, self._now.still = pose, 0
         else:
-            self._still += 1
-        return self._still > self._config.stuck_frames
+            self._now.still += 1
+        return self._now.still > self._config.stuck_frames
 
     def _is_between(self, x: float, y: float, first: str, second: str) -> bool:
         """Whether the robot already stands on the edge, so that going back to its beginning is in vain."""
@@ -212,24 +353,21 @@ class Dijkstra:
         aside = abs((x - ax) * (by - ay) - (y - ay) * (bx - ax)) / length
         return 0.0 <= along <= length and aside <= _ON_EDGE_M
 
-    def _xy(self, waypoint_id: str) -> tuple[float, float]:
+    def _xy(self, waypoint_id: str) -> Point:
         position = self._graph.waypoints[waypoint_id].position
         return float(position[0]), float(position[1])
 
     def _stop(self, frame: Frame) -> Command:
         return self._driver.stop(frame, math.radians(self._config.drive_tilt_deg))
 
-    def _end(self, frame: Frame, outcome: str, detail: str, state: str = "stop") -> Step:
-        return Step(self._driver.stop(frame, frame.tilt_rad), state, (), (), outcome, detail)
-
-
-def _pose(frame: Frame) -> tuple[float, float, float]:
-    """x, y (world metres) and heading (radians) of the base."""
-    base = frame.world_from_base
-    return float(base[0, 3]), float(base[1, 3]), base_heading(base)
+    def _end(
+        self, frame: Frame, outcome: str, detail: str, state: str = "stop", at_stop: bool = False
+    ) -> Step:
+        command = self._driver.stop(frame, frame.tilt_rad)
+        return Step(command, state, (), (), outcome, detail, self._now.goal, at_stop)
 
 
 @hookimpl
 def register_navigation(register: Register) -> None:
-    """`dijkstra`: straight lines between waypoints."""
+    """`dijkstra`: over the waypoints, round obstacles."""
     register("dijkstra", Dijkstra, config=Config)

@@ -69,7 +69,7 @@ class Chain:
         texts = self._text_features([box.label for box, _mask in kept])
         images = self._image_features(frame, [box for box, _mask in kept])
         return [
-            Detection(mask, _bounds(mask), box.label, float(box.score), text, image)
+            Detection(mask, _bounds(mask), box.label, float(box.score), text, image, box.label_scores)
             for (box, mask), text, image in zip(kept, texts, images, strict=True)
         ]
 

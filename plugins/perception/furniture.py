@@ -20,7 +20,7 @@ from dssmsg.frame import Detection, Float32Array, FloatArray, Frame, MaskArray
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
 if TYPE_CHECKING:
-    from dssmsg.interfaces import Context
+    from dssmsg.interfaces import Context, Encoder
     from dssmsg.recogniser.recogniser import Seen
 
 SPACE = "all-minilm-l6-v2/384"
@@ -56,6 +56,17 @@ class FurnitureConfig(PluginConfig):
         (), description="Names to choose from instead of the trained ones, through the text encoder."
     )
 
+    def folder(self, base_dir: Path) -> Path | None:
+        """Where the weights are; None for the shipped ones."""
+        return None if self.weights is None else Path(base_dir, self.weights).resolve()
+
+    def problems(self, base_dir: Path, encoder: Encoder | None) -> list[str]:
+        """What `dssmsg doctor` says of the weights: files that are missing or changed."""
+        from dssmsg.recogniser.networks import weights_problem
+
+        problem = weights_problem(self.folder(base_dir))
+        return [] if problem is None else [f"weights: {problem.file}: {problem.message}"]
+
 
 class Furniture:
     """Masks and names of furniture; frames do not depend on each other."""
@@ -66,7 +77,7 @@ class Furniture:
         from dssmsg.recogniser.recogniser import Recogniser
 
         self._config = config
-        folder = None if config.weights is None else Path(context.base_dir, config.weights).resolve()
+        folder = config.folder(context.base_dir)
         self._recogniser = Recogniser(folder, threads=config.threads, max_crops=config.max_crops)
         self._encoder = context.encoder
         fits = self._encoder is not None and self._encoder.space == SPACE

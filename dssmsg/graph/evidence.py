@@ -1,0 +1,188 @@
+"""What one frame says of a place: is something there, is it hidden, or is it shown free (ALGORITHM B).
+
+"Unseen is not gone": a detector that misses a thing says nothing about it. Only depth that reaches behind
+where the thing stood says that it is not there; a place that is hidden, out of the image, too far or
+without a reading gives no evidence at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
+
+from dssmsg.frame import ByteArray, Camera, Float32Array, FloatArray, Frame, MaskArray
+from dssmsg.geometry import depth_sigma, invert_rigid, project, transform_points
+
+SEEN, MISSED, OCCLUDED, OUT_OF_RANGE, OUT_OF_VIEW = (
+    "seen",
+    "missed",
+    "occluded",
+    "out_of_range",
+    "out_of_view",
+)
+PRESENT, UNKNOWN = "present", "unknown"
+"""Verdicts on an object in a frame. `missed`: its place is in view and shown free. `present`: depth shows a
+surface where it stood, though no detection says so. `unknown`: no reading, or too little of it to tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class SightRule:
+    """Thresholds of the test.
+
+    A point is shown free where depth lies more than max(min_margin, sigmas * sigma(z)) metres behind it; a
+    place is free where at least `free_share` of the points that fall inside the image are. `sample` points of
+    a cloud are asked, `min_points` must fall inside, `max_range` metres is as far as anyone looks.
+    """
+
+    min_margin: float = 0.03
+    sigmas: float = 3.0
+    free_share: float = 0.6
+    sample: int = 256
+    min_points: int = 6
+    min_inside_share: float = 0.2
+    max_range: float = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A frame made ready for many questions: pose, and the nearest depth around each pixel.
+
+    near (h, w) float32 metres: the smallest reading within one pixel, 0 where the pixel itself has none, so
+    that thin things and edges never look free because of a pixel beside them. `stride` is the step between
+    its pixels in the camera's image. rgb (h, w, 3) uint8 at the same pixels.
+    """
+
+    frame: int
+    visit: int
+    camera: Camera
+    world_from_camera: FloatArray
+    near: Float32Array
+    rgb: ByteArray
+    stride: int = 1
+
+    @classmethod
+    def of(cls, frame: Frame) -> View:
+        """The view of a frame at full size."""
+        valid = frame.depth > 0
+        filled = np.where(valid, frame.depth, np.float32(np.inf))
+        near = np.where(valid, minimum_filter(filled, size=3, mode="nearest"), np.float32(0))
+        return cls(frame.index, frame.visit, frame.camera, frame.world_from_camera, near, frame.rgb)
+
+    def thinned(self, stride: int = 2) -> View:
+        """Every second pixel of each second row, to be kept: a quarter of the memory."""
+        return View(
+            self.frame,
+            self.visit,
+            self.camera,
+            self.world_from_camera,
+            np.ascontiguousarray(self.near[::stride, ::stride]),
+            np.ascontiguousarray(self.rgb[::stride, ::stride]),
+            self.stride * stride,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceSight:
+    """How a cloud's sampled points look in a view: shares of the points inside the image and range.
+
+    `inside` is how many of the `asked` points fall inside the image, `near_enough` how many of these lie
+    within range; `on_surface` (asked,) says which of them depth finds in place, `rows` and `columns`
+    (asked,) where in the view they fall.
+    """
+
+    asked: int
+    inside: int
+    near_enough: int
+    free: float
+    surface: float
+    occluded: float
+    unread: float
+    on_surface: MaskArray
+    rows: np.ndarray
+    columns: np.ndarray
+
+    def values(self) -> dict[str, float]:
+        """The shares by name, for the recording."""
+        return {
+            "points": float(self.near_enough),
+            "free": round(self.free, 4),
+            "surface": round(self.surface, 4),
+            "occluded": round(self.occluded, 4),
+        }
+
+
+def telling(points: Float32Array, height: float = 0.05) -> MaskArray:
+    """(N,) bool: which points (N, 3) of a thing can say whether it is there.
+
+    Not those within `height` metres of its underside: depth takes them for what it stands on, and it for
+    them. All, where hardly any others are left.
+    """
+    high: MaskArray = points[:, 2] > float(points[:, 2].min()) + height
+    return high if np.count_nonzero(high) >= 0.2 * len(points) else np.ones(len(points), dtype=np.bool_)
+
+
+def sampled(points: NDArray[Any], count: int) -> NDArray[Any]:
+    """At most `count` of the points (N, 3), spread evenly; always the same ones of the same cloud."""
+    return points if len(points) <= count else points[(np.arange(count) * len(points)) // count]
+
+
+def look_at(
+    points: Float32Array, view: View, noise: tuple[float, float], rule: SightRule = SightRule()
+) -> PlaceSight:
+    """What a view shows where the points (N, 3) of a cloud are; `noise` (a, b): sigma(z) = a + b z^2."""
+    asked = sampled(points, rule.sample)
+    uv, z = project(transform_points(invert_rigid(view.world_from_camera), asked), view.camera)
+    pixels = np.rint(np.nan_to_num(uv, nan=-1e9) / view.stride).astype(np.int64)
+    columns, rows = pixels[:, 0], pixels[:, 1]
+    height, width = view.near.shape
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    within = inside & (z <= rule.max_range)
+    count = int(np.count_nonzero(within))
+    measured = np.zeros(len(asked), np.float64)
+    measured[within] = view.near[rows[within], columns[within]]
+    margin = np.maximum(rule.min_margin, rule.sigmas * depth_sigma(np.where(within, z, 0.0), noise))
+    read = within & (measured > 0)
+    free = read & (measured > z + margin)
+    hidden = read & (measured < z - margin)
+    surface = read & ~free & ~hidden
+    total = max(count, 1)
+    return PlaceSight(
+        asked=len(asked),
+        inside=int(np.count_nonzero(inside)),
+        near_enough=count,
+        free=int(np.count_nonzero(free)) / total,
+        surface=int(np.count_nonzero(surface)) / total,
+        occluded=int(np.count_nonzero(hidden)) / total,
+        unread=int(np.count_nonzero(within & ~read)) / total,
+        on_surface=surface,
+        rows=rows,
+        columns=columns,
+    )
+
+
+def verdict_of(sight: PlaceSight, rule: SightRule = SightRule()) -> str:
+    """The verdict on a place that no detection was matched to: missed, present, occluded, ..."""
+    if sight.inside < min(rule.min_points, sight.asked):
+        return OUT_OF_VIEW
+    if sight.near_enough < min(rule.min_points, sight.asked):
+        return OUT_OF_RANGE
+    if sight.near_enough < rule.min_inside_share * sight.asked:
+        return UNKNOWN
+    if sight.free >= rule.free_share:
+        return MISSED
+    if sight.surface >= max(sight.occluded, sight.unread):
+        return PRESENT
+    return OCCLUDED if sight.occluded >= sight.unread else UNKNOWN
+
+
+def is_thin(points: Float32Array, margin: float) -> bool:
+    """Whether depth cannot tell a thing from what it lies on: no extent of its surface reaches the margin.
+
+    A rug on the floor, a picture on the wall.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    return bool(float((high - low).min()) < margin)

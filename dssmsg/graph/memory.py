@@ -1,0 +1,71 @@
+"""The memory of a viewpoint: its last observations, across visits (paper III-A; ALGORITHM A.5, B).
+
+A sliding window a viewpoint. Each of its frames keeps the pose, what depth showed (thinned) and what the
+frame said of every object in view; that is enough to ask later whether a place was free before something
+stood there. What a question costs depends on the viewpoints around the place, not on how many there are.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from dssmsg.frame import FloatArray
+from dssmsg.geometry import invert_rigid, project, transform_points
+from dssmsg.graph.evidence import View
+from dssmsg.graph.ids import id_order
+from dssmsg.graph.view import GraphView
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remembered:
+    """One frame of a window: the view, and object id -> verdict (`dssmsg.graph.evidence`)."""
+
+    viewpoint_id: str
+    view: View
+    verdicts: Mapping[str, str]
+
+
+class ViewpointWindows:
+    """The windows of all viewpoints; each holds the last `length` frames taken from it."""
+
+    def __init__(self, graph: GraphView, length: int, reach: float) -> None:
+        self._graph = graph
+        self._length = length
+        self._reach = reach
+        self._windows: dict[str, deque[Remembered]] = {}
+
+    def add(self, viewpoint_id: str, view: View, verdicts: Mapping[str, str]) -> None:
+        """Remember a frame; the oldest of a full window is forgotten."""
+        window = self._windows.setdefault(viewpoint_id, deque(maxlen=self._length))
+        window.append(Remembered(viewpoint_id, view.thinned(), verdicts))
+
+    def window(self, viewpoint_id: str) -> tuple[Remembered, ...]:
+        """A viewpoint's frames, oldest first; empty for one never seen."""
+        return tuple(self._windows.get(viewpoint_id, ()))
+
+    def looking_at(self, place: FloatArray, before_frame: int) -> Iterator[Remembered]:
+        """Frames earlier than `before_frame` whose image holds the place (3,), the latest first."""
+        found = [
+            remembered
+            for viewpoint_id in self._graph.viewpoints_near(place, self._reach)
+            for remembered in self._windows.get(viewpoint_id, ())
+            if remembered.view.frame < before_frame and _holds(remembered.view, place)
+        ]
+        found.sort(key=lambda r: (-r.view.frame, id_order(r.viewpoint_id)))
+        return iter(found)
+
+    def forget_removed(self) -> None:
+        """Drop the windows of viewpoints that have left the graph."""
+        for viewpoint_id in [i for i in self._windows if i not in self._graph.viewpoints]:
+            del self._windows[viewpoint_id]
+
+
+def _holds(view: View, place: FloatArray) -> bool:
+    """Whether a place (3,) falls inside the image."""
+    uv, z = project(transform_points(invert_rigid(view.world_from_camera), place[None]), view.camera)
+    if not z[0] > 0:
+        return False
+    u, v = uv[0]
+    return bool(0 <= u < view.camera.width and 0 <= v < view.camera.height)

@@ -1,0 +1,193 @@
+"""Which objects a frame shows, misses or cannot tell of, and for how many frames in a row (ALGORITHM B, C).
+
+`Presence` holds the runs: consecutive informative frames that showed an object's place free, or something of
+other colours standing there. A frame without evidence neither lengthens nor ends a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dssmsg.events import Evidence
+from dssmsg.frame import ByteArray, FloatArray, MaskArray
+from dssmsg.geometry import transform_points
+from dssmsg.graph.colors import color_similarity, mean_value
+from dssmsg.graph.evidence import (
+    MISSED,
+    OUT_OF_VIEW,
+    PRESENT,
+    SEEN,
+    UNKNOWN,
+    PlaceSight,
+    SightRule,
+    View,
+    is_thin,
+    look_at,
+    sampled,
+    telling,
+    verdict_of,
+)
+from dssmsg.graph.ids import id_order
+from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
+from dssmsg.graph.view import GraphView
+
+_MIN_COLOR_POINTS = 12
+_MIN_LIT_OBJECTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ColorRule:
+    """When a surface counts as another one: s_rgb of what is stored and what is there, at the same pixels."""
+
+    exchanged: float = 0.55
+    """Below this the thing that was seen is another one of its kind."""
+    changed: float = 0.5
+    """Below this a thing too thin for depth, and not detected, is gone from where it lay."""
+
+
+@dataclass(slots=True)
+class _Runs:
+    free: list[int] = field(default_factory=list)
+    other: list[int] = field(default_factory=list)
+
+
+class Presence:
+    """Asks frames about objects, and keeps what speaks for their absence."""
+
+    def __init__(
+        self,
+        graph: GraphView,
+        noise: tuple[float, float],
+        rule: SightRule,
+        colors: ColorRule,
+        *,
+        literal: bool = False,
+    ) -> None:
+        """`literal`: the paper's rule, by which an expected object that is not detected is missed."""
+        self._literal = literal
+        self._graph = graph
+        self._noise = noise
+        self._rule = rule
+        self._colors = colors
+        self._runs: dict[str, _Runs] = {}
+        self.gain = 1.0
+        """How much brighter than the stored colours this visit's light is."""
+
+    def begin_visit(self) -> None:
+        """The light may be another one."""
+        self.gain = 1.0
+
+    def look(self, view: View, observed: Collection[str], expected: Collection[str]) -> list[Evidence]:
+        """What the view says of every object whose box is in sight, and of the `expected` ones; by id.
+
+        `observed` are the objects that detections of this frame were matched to.
+        """
+        lowest, highest = frustum_box(view, self._rule.max_range)
+        ids = {*self._graph.objects_touching(lowest, highest), *expected}
+        nodes = [
+            node
+            for node in (self._graph.objects.get(object_id) for object_id in sorted(ids, key=id_order))
+            if node is not None and node.state != DISAPPEARED
+        ]
+        high: dict[str, MaskArray] = {node.id: telling(node.points) for node in nodes}
+        sights = {
+            node.id: look_at(node.points[high[node.id]], view, self._noise, self._rule) for node in nodes
+        }
+        colors = {
+            node.id: self._seen_colors(node.colors[high[node.id]], sights[node.id], view) for node in nodes
+        }
+        self._follow_light(colors)
+        found = []
+        for node in nodes:
+            evidence = self._evidence(node, sights[node.id], colors[node.id], view, node.id in observed)
+            if self._literal and evidence.verdict != SEEN:
+                verdict = MISSED if node.id in expected else UNKNOWN
+                evidence = replace(evidence, verdict=verdict)
+            if evidence.verdict == OUT_OF_VIEW and node.id not in expected:
+                continue
+            self._note(evidence)
+            found.append(evidence)
+        return found
+
+    def absent_for(self, object_id: str) -> Sequence[int]:
+        """The frames in a row that showed its place free, up to now."""
+        runs = self._runs.get(object_id)
+        return () if runs is None else runs.free
+
+    def exchanged_for(self, object_id: str) -> Sequence[int]:
+        """The frames in a row in which it was matched by something of other colours."""
+        runs = self._runs.get(object_id)
+        return () if runs is None else runs.other
+
+    def forget(self, object_id: str) -> None:
+        """Start anew with an object."""
+        self._runs.pop(object_id, None)
+
+    # -----------------------------------------------------------------------------------------------------
+
+    def _evidence(
+        self,
+        node: ObjectNode,
+        sight: PlaceSight,
+        colors: tuple[np.ndarray, np.ndarray] | None,
+        view: View,
+        observed: bool,
+    ) -> Evidence:
+        values = sight.values()
+        if colors is not None:
+            values["s_rgb"] = round(color_similarity(colors[0], colors[1], 1.0 / self.gain), 4)
+        verdict = SEEN if observed else verdict_of(sight, self._rule)
+        if (
+            verdict == PRESENT
+            and values.get("s_rgb", 1.0) < self._colors.changed
+            and is_thin(node.points, 2 * self._rule.min_margin)
+        ):
+            verdict = MISSED
+        return Evidence(view.frame, node.id, verdict, values)
+
+    def _note(self, evidence: Evidence) -> None:
+        runs = self._runs.setdefault(evidence.object_id, _Runs())
+        if evidence.verdict == MISSED:
+            runs.free.append(evidence.frame)
+        elif evidence.verdict in (SEEN, PRESENT):
+            runs.free.clear()
+        if evidence.verdict == SEEN and "s_rgb" in evidence.values:
+            if evidence.values["s_rgb"] < self._colors.exchanged:
+                runs.other.append(evidence.frame)
+            else:
+                runs.other.clear()
+
+    def _seen_colors(
+        self, colors: ByteArray, sight: PlaceSight, view: View
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Stored colours and those in the image, where depth is on the object's surface; None if too few."""
+        on = sight.on_surface
+        if np.count_nonzero(on) < _MIN_COLOR_POINTS:
+            return None
+        stored = sampled(colors, self._rule.sample)
+        return stored[on], view.rgb[sight.rows[on], sight.columns[on]]
+
+    def _follow_light(self, colors: Mapping[str, tuple[np.ndarray, np.ndarray] | None]) -> None:
+        """The gain of this visit's light: median over the objects in view, smoothed over frames."""
+        ratios = [
+            mean_value(now) / mean_value(stored)
+            for stored, now in (pair for pair in colors.values() if pair is not None)
+            if mean_value(stored) > 0.05
+        ]
+        if len(ratios) >= _MIN_LIT_OBJECTS:
+            self.gain += 0.3 * (float(np.clip(np.median(ratios), 0.2, 5.0)) - self.gain)
+
+
+def frustum_box(view: View, reach: float) -> tuple[FloatArray, FloatArray]:
+    """The axis-aligned box of what the view can show up to `reach` metres along its optical axis."""
+    camera = view.camera
+    corners = [
+        ((u - camera.cx) / camera.fx * reach, (v - camera.cy) / camera.fy * reach, reach)
+        for u in (0, camera.width - 1)
+        for v in (0, camera.height - 1)
+    ]
+    points = transform_points(view.world_from_camera, np.array([(0.0, 0.0, 0.0), *corners]))
+    return points.min(axis=0), points.max(axis=0)

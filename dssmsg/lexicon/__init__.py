@@ -1,0 +1,12 @@
+"""Household English by table: sentences read into target graphs, needs and rooms into things, labels into habits.
+
+    words      tokens, singulars, stems
+    tables     the readable YAML: labels, grammar, needs, rooms; packaged, and a user's own over it
+    terms      the longest known phrase at every word
+    reading    a sentence -> things, attributes, relations (explicit queries of paper III-C)
+    needs      a sentence -> what serves its purpose (implicit queries)
+    target     both put together: the target graph as the JSON that a language model would give
+    movement   label, size and surroundings -> how readily a thing is moved (paper III-A)
+
+Nothing here is learnt and nothing asks a network; a text encoder helps where no wording fits, if there is one.
+"""

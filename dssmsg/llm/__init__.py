@@ -1,0 +1,1 @@
+"""What the providers of a language model share: options, keys, retries, repair, fallback, bounded HTTP."""

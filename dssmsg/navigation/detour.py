@@ -1,0 +1,166 @@
+"""The way round an obstacle inside the rolling grid: where to rejoin the way, and how (ALGORITHM E)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from dssmsg.frame import FloatArray, IntArray
+from dssmsg.navigation.astar import cheapest_way
+from dssmsg.navigation.grid import Cell, Point, RollingGrid
+
+
+@dataclass(frozen=True, slots=True)
+class DetourOptions:
+    """Metres, unless said otherwise."""
+
+    radius: float = 0.18
+    margin: float = 0.04
+    """On top of the radius: cells and readings are not exact."""
+    comfort: float = 0.15
+    """Further from things than radius + margin by this, a cell costs nothing extra."""
+    unknown_cost: float = 3.0
+    """How many times as dear a step over unseen floor is."""
+    stretch: float = 2.0
+    """The longest acceptable way round: so many times the straight one, and `extra` metres more."""
+    extra: float = 1.5
+    reach: float = 2.7
+    """No further ahead than this is the way rejoined: the grid ends at 3 m."""
+    near_end: float = 0.6
+    """Where something stands on the way's end, a place this near stands in for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detour:
+    """Corner points from where the robot stands (left out) to where the way is rejoined.
+
+    `leg`: index of the way's point that comes after the last corner; the number of its points where the last
+    corner stands in for the way's end.
+    """
+
+    corners: tuple[Point, ...]
+    leg: int
+
+
+def find_detour(
+    grid: RollingGrid, start: Point, way: Sequence[Point], options: DetourOptions | None = None
+) -> Detour | None:
+    """A drivable way from `start` back onto the way through the points `way`, beyond what blocks it.
+
+    Candidates to rejoin at lie each 0.2 m along the way behind the obstacle, and at its points; the first
+    (so the nearest) that can be reached at an acceptable length is taken. None if none can.
+    """
+    o = options or DetourOptions()
+    cost = step_costs(grid, start, o)
+    here = grid.cell(start)
+    if here is None:
+        return None
+    islands, _ = ndimage.label(np.isfinite(cost), structure=np.ones((3, 3)))
+    tried: set[Cell] = set()
+    for place, leg, straight in _rejoining(grid, start, way, o):
+        cell = grid.cell(place)
+        if cell is None or cell in tried or islands[cell] != islands[here]:
+            continue
+        tried.add(cell)
+        cells = cheapest_way(cost, here, cell)
+        if cells is None:
+            continue
+        corners = _corners(grid, cost, start, cells, place)
+        length = math.dist(start, corners[0]) + sum(math.dist(a, b) for a, b in itertools.pairwise(corners))
+        if length <= o.stretch * straight + o.extra:
+            return Detour(corners, leg)
+        if len(tried) >= 6:  # further points are behind the same obstacle: no use in trying them all
+            return None
+    return None
+
+
+def step_costs(grid: RollingGrid, start: Point, options: DetourOptions) -> FloatArray:
+    """(n, n) what a step into a cell costs: inf where the robot does not fit.
+
+    Close to the start it may be as near to things as it is now, else it could not leave a narrow place.
+    """
+    o, clearance = options, grid.clearance
+    need = np.full(clearance.shape, o.radius + o.margin)
+    here = grid.cell(start)
+    if here is not None:
+        index: IntArray = np.indices(clearance.shape, dtype=np.int32)
+        away = np.hypot(index[0] - here[0], index[1] - here[1]) * grid.options.cell
+        need[away <= 0.3] = min(o.radius + o.margin, float(clearance[here]))
+    tight = np.clip((o.radius + o.margin + o.comfort - clearance) / o.comfort, 0.0, 1.0)
+    cost: FloatArray = np.where(grid.known_free, 1.0, o.unknown_cost) * (1.0 + 3.0 * tight)
+    cost[clearance < need - 1e-9] = np.inf
+    cost[grid.occupied] = np.inf
+    if here is not None:
+        cost[here] = 1.0
+    return cost
+
+
+def is_clear(grid: RollingGrid, start: Point, corners: Sequence[Point], half_width: float) -> bool:
+    """Whether nothing known stands on the polyline from `start` through the corners."""
+    legs = itertools.pairwise([start, *corners])
+    return all(grid.corridor(a, b, half_width).obstacle is None for a, b in legs)
+
+
+def _rejoining(
+    grid: RollingGrid, start: Point, way: Sequence[Point], options: DetourOptions
+) -> Iterator[tuple[Point, int, float]]:
+    """Places on the way behind its first obstacle, nearest first; last those that stand in for its end.
+
+    Each with the index of the way's point that comes next, and the metres there along the way.
+    """
+    travelled, behind = 0.0, False
+    room = options.radius + options.margin
+    for leg, (a, b) in enumerate(itertools.pairwise([start, *way])):
+        length = math.dist(a, b)
+        steps = max(1, math.ceil(length / 0.2))
+        for step in range(1, steps + 1):
+            share = step / steps
+            place = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+            if math.dist(start, place) > options.reach:
+                return
+            cell = grid.cell(place)
+            clear = cell is not None and float(grid.clearance[cell]) >= room
+            behind = behind or not clear
+            if clear and behind and travelled + share * length > 0.4:
+                yield place, leg + (step == steps), travelled + share * length
+        travelled += length
+    for place in _around(way[-1], options.near_end):
+        cell = grid.cell(place)
+        if cell is not None and float(grid.clearance[cell]) >= room:
+            yield place, len(way), travelled
+
+
+def _around(middle: Point, radius: float) -> Iterator[Point]:
+    """Places around a point, ring by ring."""
+    for ring in np.arange(0.2, radius + 1e-9, 0.2):
+        for angle in np.arange(0.0, math.tau - 1e-9, math.pi / 4):
+            yield middle[0] + float(ring * math.cos(angle)), middle[1] + float(ring * math.sin(angle))
+
+
+def _corners(
+    grid: RollingGrid, cost: FloatArray, start: Point, cells: Sequence[Cell], end: Point
+) -> tuple[Point, ...]:
+    """The path with its needless bends left out: straight legs only over cells that may be stepped into."""
+    points = [start, *(grid.center(cell) for cell in cells[1:-1]), end]
+    corners, here = [], 0
+    while here < len(points) - 1:
+        ahead = len(points) - 1
+        while ahead > here + 1 and not _passable(grid, cost, points[here], points[ahead]):
+            ahead -= 1
+        corners.append(points[ahead])
+        here = ahead
+    return tuple(corners)
+
+
+def _passable(grid: RollingGrid, cost: FloatArray, a: Point, b: Point) -> bool:
+    count = max(2, math.ceil(2 * math.dist(a, b) / grid.options.cell))
+    for x, y in zip(np.linspace(a[0], b[0], count), np.linspace(a[1], b[1], count), strict=True):
+        cell = grid.cell((float(x), float(y)))
+        if cell is None or cost[cell] == np.inf or cost[cell] > 6.0:
+            return False
+    return True

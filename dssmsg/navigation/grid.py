@@ -1,0 +1,260 @@
+"""A rolling floor plan around the robot, from depth: where something stands, where the floor is free.
+
+6 m wide with cells of 5 cm, in world axes; it moves with the robot and forgets what leaves it. Cells are
+remembered, because the camera sees nothing lower than 0.33 m at 0.5 m distance (ALGORITHM E): what was seen
+from further off still stands there. A cell counts as occupied after two frames (or one with many pixels)
+show something in it between the step-over height and the robot's top, and no longer after its place was
+seen through as often.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dssmsg.frame import FloatArray, Frame, IntArray, MaskArray
+from dssmsg.geometry import Sight, depth_sigma, pixel_rays, sight_of_points
+
+Point = tuple[float, float]
+Cell = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class GridOptions:
+    """Metres. `low`..`high` are the heights of what is in the robot's way."""
+
+    size: float = 6.0
+    cell: float = 0.05
+    low: float = 0.05
+    high: float = 0.9
+    max_range: float = 4.0
+    footprint: float = 0.16
+    """Where the robot itself stands is free, this far around its axis."""
+    noise: tuple[float, float] = (0.001, 0.002)
+    """(a, b) of the sensor's depth noise a + b z^2: floor pixels must not become obstacles."""
+    min_pixels: int = 3
+    """Fewer pixels of a frame in a cell are taken as noise."""
+    sure_pixels: int = 12
+    """So many of one frame occupy a cell at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """What the grid knows of a straight strip of floor.
+
+    `obstacle`: where (x, y) the first occupied cell along it lies, None if none is; `cells` how many are.
+    `free`: share of its cells known to be free; `fresh`: share that the newest frame showed free.
+    """
+
+    obstacle: Point | None
+    cells: int
+    free: float
+    fresh: float
+
+
+class RollingGrid:
+    """Takes in every frame; all questions are in world metres."""
+
+    def __init__(self, options: GridOptions | None = None) -> None:
+        self.options = options or GridOptions()
+        self._count = round(self.options.size / self.options.cell)
+        shape = (self._count, self._count)
+        self._corner: Cell | None = None
+        self._hits = np.zeros(shape, dtype=np.int8)
+        self._height = np.zeros(shape, dtype=np.float32)
+        self._free = np.zeros(shape, dtype=np.bool_)
+        self._fresh = np.zeros(shape, dtype=np.bool_)
+        self._clearance: FloatArray | None = None
+
+    def forget(self) -> None:
+        """Begin with an empty floor plan (the robot was carried, or a visit ended)."""
+        self._corner = None
+        for array in (self._hits, self._height, self._free, self._fresh):
+            array.fill(0)
+        self._clearance = None
+
+    def observe(self, frame: Frame) -> None:
+        """Take in a frame's depth; the plan's middle follows the robot's base."""
+        base = frame.world_from_base[:2, 3]
+        self._roll((float(base[0]), float(base[1])))
+        self._clearance = None
+        hit = self._mark(frame)
+        self._see_through(frame, hit)
+        near = self._cells_around((float(base[0]), float(base[1])), self.options.footprint)
+        self._hits[near], self._free[near], self._fresh[near] = 0, True, True
+
+    def corridor(self, start: Point, end: Point, half_width: float) -> Corridor:
+        """What is known of the strip of `half_width` along a straight leg; cells outside are unknown."""
+        inside, along, window = self._strip(start, end, half_width)
+        total = self._strip_cells(start, end, half_width)
+        if not inside.any():
+            return Corridor(None, 0, 0.0, 0.0)
+        occupied = inside & self.occupied[window]
+        free = float(np.count_nonzero(inside & self._free[window])) / total
+        fresh = float(np.count_nonzero(inside & self._fresh[window])) / total
+        obstacle = None
+        if occupied.any():
+            row, column = np.unravel_index(int(np.where(occupied, along, np.inf).argmin()), occupied.shape)
+            obstacle = self.center((int(row) + window[0].start, int(column) + window[1].start))
+        return Corridor(obstacle, int(np.count_nonzero(occupied)), min(1.0, free), min(1.0, fresh))
+
+    @property
+    def occupied(self) -> MaskArray:
+        """(n, n) bool: cells in which something stands."""
+        standing: MaskArray = self._hits >= 2
+        return standing
+
+    @property
+    def known_free(self) -> MaskArray:
+        """(n, n) bool: cells whose floor, or the space above it, was seen free."""
+        return self._free & ~self.occupied
+
+    @property
+    def clearance(self) -> FloatArray:
+        """(n, n) metres from each cell's middle to the nearest occupied cell's edge (inf if none is)."""
+        if self._clearance is None:
+            occupied = self.occupied
+            if occupied.any():
+                cells: FloatArray = ndimage.distance_transform_edt(~occupied)
+                self._clearance = np.maximum(cells - 0.5, 0.0) * self.options.cell
+            else:
+                self._clearance = np.full(occupied.shape, np.inf)
+        return self._clearance
+
+    def cell(self, point: Point) -> Cell | None:
+        """The cell of a place, None outside of the plan."""
+        if self._corner is None:
+            return None
+        row, column = (
+            math.floor(value / self.options.cell) - low
+            for value, low in zip(point, self._corner, strict=True)
+        )
+        return (row, column) if 0 <= row < self._count and 0 <= column < self._count else None
+
+    def center(self, cell: Cell) -> Point:
+        """The middle of a cell. Raises ValueError before the first frame."""
+        if self._corner is None:
+            raise ValueError("the grid has seen no frame yet")
+        x, y = (
+            (index + low + 0.5) * self.options.cell for index, low in zip(cell, self._corner, strict=True)
+        )
+        return x, y
+
+    # -- taking in a frame ------------------------------------------------------------------------------
+
+    def _roll(self, middle: Point) -> None:
+        low = tuple(math.floor(value / self.options.cell) - self._count // 2 for value in middle)
+        corner = (low[0], low[1])
+        if self._corner is None:
+            self._corner = corner
+        dx, dy = corner[0] - self._corner[0], corner[1] - self._corner[1]
+        self._corner = corner
+        if not (dx or dy):
+            self._fresh.fill(False)
+            return
+        for array in (self._hits, self._height, self._free):
+            _shift(array, dx, dy)
+        self._fresh.fill(False)
+
+    def _mark(self, frame: Frame) -> MaskArray:
+        """Count the frame's points into cells; (n, n) bool: cells in which it shows something standing."""
+        o, n = self.options, self._count
+        assert self._corner is not None
+        depth = frame.depth.reshape(-1).astype(np.float64)
+        pixels = np.flatnonzero((depth > 0) & (depth < o.max_range))
+        rays = pixel_rays(frame.camera)[pixels] @ frame.world_from_camera[:3, :3].T
+        points = rays * depth[pixels, None] + frame.world_from_camera[:3, 3]
+        row = np.floor(points[:, 0] / o.cell).astype(np.int64) - self._corner[0]
+        column = np.floor(points[:, 1] / o.cell).astype(np.int64) - self._corner[1]
+        within = (row >= 0) & (row < n) & (column >= 0) & (column < n)
+        # Along a ray the reading errs by sigma, so in height by sigma times the ray's fall.
+        slack = 3.0 * depth_sigma(depth[pixels], o.noise) * np.abs(rays[:, 2])
+        flat, height = row * n + column, points[:, 2]
+        standing = within & (height > o.low + slack) & (height < o.high)
+        floor = within & (height <= o.low + slack) & (height > -0.1 - slack)
+        hits = np.bincount(flat[standing], minlength=n * n).reshape(n, n)
+        seen_floor = np.bincount(flat[floor], minlength=n * n).reshape(n, n)
+        heights = np.bincount(flat[standing], weights=height[standing], minlength=n * n).reshape(n, n)
+        hit: MaskArray = hits >= o.min_pixels
+        self._hits[hit] = np.minimum(self._hits[hit] + 1 + (hits[hit] >= o.sure_pixels), 6)
+        self._height[hit] = heights[hit] / hits[hit]
+        clear = (seen_floor >= 1) & (hits == 0)
+        self._free |= clear
+        self._fresh |= clear
+        some: MaskArray = hits > 0
+        return some
+
+    def _see_through(self, frame: Frame, hit: MaskArray) -> None:
+        """Cells thought occupied whose place the camera looks through lose what spoke for them."""
+        cells = np.argwhere((self._hits > 0) & ~hit)
+        if not len(cells):
+            return
+        assert self._corner is not None
+        middle = (cells + np.array(self._corner) + 0.5) * self.options.cell
+        places = np.column_stack([middle, self._height[cells[:, 0], cells[:, 1]]])
+        sight = sight_of_points(
+            places, frame.depth, frame.camera, frame.world_from_camera, 0.15, self.options.max_range
+        )
+        rows, columns = cells[sight == Sight.SEEN_THROUGH].T
+        self._hits[rows, columns] -= 1
+        gone = self._hits[rows, columns] == 0
+        self._free[rows[gone], columns[gone]] = True
+        self._fresh[rows[gone], columns[gone]] = True
+
+    # -- cells of a place -------------------------------------------------------------------------------
+
+    def _cells_around(self, middle: Point, radius: float) -> tuple[IntArray, IntArray]:
+        reach = math.ceil(radius / self.options.cell) + 1
+        centre = self.cell(middle)
+        assert centre is not None  # the plan's middle is where the robot stands
+        steps = np.arange(-reach, reach + 1, dtype=np.int32)
+        rows, columns = (part.reshape(-1) for part in np.meshgrid(steps, steps, indexing="ij"))
+        x, y = self.center(centre)
+        away = np.hypot(rows * self.options.cell + x - middle[0], columns * self.options.cell + y - middle[1])
+        near = away <= radius
+        return (rows[near] + centre[0]).astype(np.int32), (columns[near] + centre[1]).astype(np.int32)
+
+    def _strip(
+        self, start: Point, end: Point, half_width: float
+    ) -> tuple[MaskArray, FloatArray, tuple[slice, slice]]:
+        """Cells of a strip in the part of the plan around it, with their way along it; and that part."""
+        nothing = (slice(0, 0), slice(0, 0))
+        if self._corner is None:
+            return np.zeros((0, 0), dtype=np.bool_), np.zeros((0, 0)), nothing
+        window = []
+        for axis in (0, 1):
+            low, high = sorted((start[axis], end[axis]))
+            first = math.floor((low - half_width) / self.options.cell) - self._corner[axis]
+            last = math.floor((high + half_width) / self.options.cell) - self._corner[axis] + 1
+            window.append(slice(min(max(first, 0), self._count), min(max(last, 0), self._count)))
+        x = (np.arange(window[0].start, window[0].stop) + self._corner[0] + 0.5) * self.options.cell
+        y = (np.arange(window[1].start, window[1].stop) + self._corner[1] + 0.5) * self.options.cell
+        dx, dy = end[0] - start[0], end[1] - start[1]
+        length = math.hypot(dx, dy)
+        ux, uy = (dx / length, dy / length) if length > 1e-9 else (1.0, 0.0)
+        across, ahead = x[:, None] - start[0], y[None, :] - start[1]
+        along = across * ux + ahead * uy
+        aside = np.abs(across * uy - ahead * ux)
+        inside = (aside <= half_width) & (along >= 0.0) & (along <= length)
+        return inside, along, (window[0], window[1])
+
+    def _strip_cells(self, start: Point, end: Point, half_width: float) -> int:
+        """About how many cells the whole strip has, those outside of the plan included."""
+        area = math.dist(start, end) * 2 * half_width
+        return max(1, math.floor(0.97 * area / self.options.cell**2))
+
+
+def _shift(array: NDArray[Any], dx: int, dy: int) -> None:
+    """Move what a plan (n, n) holds by whole cells; what comes in is empty."""
+    n = len(array)
+    moved = np.zeros_like(array)
+    if abs(dx) < n and abs(dy) < n:
+        to = tuple(slice(max(0, -d), n - max(0, d)) for d in (dx, dy))
+        source = tuple(slice(max(0, d), n - max(0, -d)) for d in (dx, dy))
+        moved[to] = array[source]
+    array[...] = moved
