@@ -34,13 +34,15 @@ class SightRule:
     """Thresholds of the test.
 
     A point is shown free where depth lies more than max(min_margin, sigmas * sigma(z)) metres behind it; a
-    place is free where at least `free_share` of the points that fall inside the image are. `sample` points of
+    place is free where at least `free_share` of the points that fall inside the image are, and something is
+    there where depth finds `present_share` of them in place: the rest hides behind them. `sample` points of
     a cloud are asked, `min_points` must fall inside, `max_range` metres is as far as anyone looks.
     """
 
     min_margin: float = 0.03
     sigmas: float = 3.0
     free_share: float = 0.6
+    present_share: float = 0.25
     sample: int = 256
     min_points: int = 6
     min_inside_share: float = 0.2
@@ -174,7 +176,9 @@ def verdict_of(sight: PlaceSight, rule: SightRule = SightRule()) -> str:
         return UNKNOWN
     if sight.free >= rule.free_share:
         return MISSED
-    if sight.surface >= max(sight.occluded, sight.unread):
+    if sight.free > rule.free_share / 2:
+        return UNKNOWN  # part of what is stored is there, part is not: too little of either
+    if sight.surface >= rule.present_share:
         return PRESENT
     return OCCLUDED if sight.occluded >= sight.unread else UNKNOWN
 

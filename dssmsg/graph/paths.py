@@ -30,12 +30,18 @@ def nearest_waypoints(graph: GraphView, x: float, y: float, count: int) -> tuple
 
 
 def shortest_path(
-    graph: GraphView, start: str, goal: str, longest: float = math.inf
+    graph: GraphView,
+    start: str,
+    goal: str,
+    *,
+    longest: float = math.inf,
+    without: tuple[str, str, str] | None = None,
 ) -> tuple[str, ...] | None:
     """Waypoint ids from `start` to `goal`, both included, the shortest by length; None if there is no way.
 
-    Ways longer than `longest` metres are not looked for, so that the search stays around `start`. A blocked
-    edge (`blocked: true`) is no way. Of equally long ways the one through older waypoints is taken.
+    Ways longer than `longest` metres are not looked for, so that the search stays around `start`; nor ways
+    over the edge `without`. A blocked edge (`blocked: true`) is no way. Of equally long ways the one through
+    older waypoints is taken.
     """
     if start not in graph.waypoints or goal not in graph.waypoints:
         return None
@@ -50,7 +56,7 @@ def shortest_path(
             return _walk_back(came_from, goal)
         for edge, other in _open_edges(graph, node):
             further = length + edge_length(graph, edge)
-            if other not in came_from and further <= longest:
+            if other not in came_from and further <= longest and edge_key(node, other) != without:
                 heapq.heappush(queue, (further, id_order(other), other, node))
     return None
 

@@ -73,12 +73,12 @@ class Presence:
         self._rule = rule
         self._colors = colors
         self._runs: dict[str, _Runs] = {}
-        self.gain = 1.0
-        """How much brighter than the stored colours this visit's light is."""
+        self.gain: float | None = None
+        """How much brighter than the stored colours this visit's light is; None before anything tells."""
 
     def begin_visit(self) -> None:
         """The light may be another one."""
-        self.gain = 1.0
+        self.gain = None
 
     def look(self, view: View, observed: Collection[str], expected: Collection[str]) -> list[Evidence]:
         """What the view says of every object whose box is in sight, and of the `expected` ones; by id.
@@ -137,7 +137,7 @@ class Presence:
         observed: bool,
     ) -> Evidence:
         values = sight.values()
-        if colors is not None:
+        if colors is not None and self.gain is not None:
             values["s_rgb"] = round(color_similarity(colors[0], colors[1], 1.0 / self.gain), 4)
         verdict = SEEN if observed else verdict_of(sight, self._rule)
         if (
@@ -178,7 +178,8 @@ class Presence:
             if mean_value(stored) > 0.05
         ]
         if len(ratios) >= _MIN_LIT_OBJECTS:
-            self.gain += 0.3 * (float(np.clip(np.median(ratios), 0.2, 5.0)) - self.gain)
+            now = float(np.clip(np.median(ratios), 0.2, 5.0))
+            self.gain = now if self.gain is None else self.gain + 0.3 * (now - self.gain)
 
 
 def frustum_box(view: View, reach: float) -> tuple[FloatArray, FloatArray]:

@@ -93,14 +93,17 @@ class Witnesses:
             return 0.0, {}
         worth = np.array([self._worths(link, thing) for link in links])
         total, found = 0.0, {}
-        for row in [row for row, link in enumerate(links) if link.negated]:
+        for row in range(len(links)):
+            if not links[row].negated:
+                continue
             total += max(0.0, 1.0 - float(worth[row].max()))
             worth[row] = 0.0
-        for row, column in zip(*linear_sum_assignment(worth, maximize=True), strict=True):
+        rows, columns = linear_sum_assignment(worth, maximize=True)
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             if worth[row, column] > 0:
                 total += float(worth[row, column])
-                found[links[row].node] = int(column)
-                found.update(self._below(links[row].node, int(column))[1])
+                found[links[row].node] = column
+                found.update(self._below(links[row].node, column)[1])
         return total, found
 
     def _worths(self, link: Link, thing: int) -> FloatArray:

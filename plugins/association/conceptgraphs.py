@@ -7,15 +7,16 @@ no change: what moved is a new object beside the old one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from dssmsg.baselines.clouds import largest_cluster
-from dssmsg.baselines.footprint import box_share, cut, without_contained
+from dssmsg.baselines.clouds import largest_clusters
+from dssmsg.baselines.footprint import box_share, cut, has_pixels, without_contained
 from dssmsg.baselines.mapper import GreedyMapper, Method
 from dssmsg.baselines.pairs import Weights
-from dssmsg.frame import Float32Array, Frame, MaskArray, Observation
+from dssmsg.frame import Frame, Observation
 from dssmsg.graph.changes import Change
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
@@ -29,6 +30,7 @@ class ConceptGraphsConfig(PluginConfig):
     """ConceptGraphs' parameters at their published values."""
 
     min_confidence: float = Field(0.25, ge=0, le=1, description="Detections below this score are left out.")
+    min_pixels: int = Field(25, ge=1, description="Things that cover fewer pixels are left out.")
     max_box_share: float = Field(
         0.5, gt=0, le=1, description="Things whose pixel box covers more of the image are left out."
     )
@@ -61,7 +63,7 @@ class ConceptGraphs:
                 join={
                     "overlap": config.join_overlap, "image": config.join_image, "text": config.join_text
                 },
-                denoise=self._keep,
+                denoise=partial(largest_clusters, eps=config.eps),
                 every=config.every,
                 min_points=config.min_points,
                 min_detections=config.min_detections,
@@ -80,22 +82,20 @@ class ConceptGraphs:
         return self._mapper.finish()
 
     def _filtered(self, frame: Frame, observations: Sequence[Observation]) -> list[Observation]:
-        """What is sure enough and not too large, without what lies in it, and its largest cluster alone."""
+        """What is sure and of a size, without what lies in it, and of that the largest cluster."""
         config = self._config
         wanted = [
             one
             for one in observations
-            if one.score >= config.min_confidence and box_share(frame, one) <= config.max_box_share
+            if one.score >= config.min_confidence
+            and box_share(frame, one) <= config.max_box_share
+            and has_pixels(frame, one, config.min_pixels)
         ]
-        clouds = (
-            cut(one, self._keep(one.points_world))
-            for one in without_contained(frame, wanted)
-            if len(one.points_world) >= config.min_points
-        )
-        return [one for one in clouds if len(one.points_world) >= config.min_points]
-
-    def _keep(self, points: Float32Array) -> MaskArray:
-        return largest_cluster(points, self._config.eps)
+        least = config.min_points
+        whole = [one for one in without_contained(frame, wanted) if len(one.points_world) >= least]
+        kept = largest_clusters([one.points_world for one in whole], config.eps)
+        clouds = (cut(one, mask) for one, mask in zip(whole, kept, strict=True))
+        return [one for one in clouds if len(one.points_world) >= least]
 
 
 @hookimpl

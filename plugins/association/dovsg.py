@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from dssmsg.baselines.clouds import largest_cluster, neighbour_eps
-from dssmsg.baselines.footprint import box_share, cut, mask_share
+from dssmsg.baselines.clouds import largest_neighbour_cluster
+from dssmsg.baselines.footprint import box_share, cut, has_pixels, mask_share
 from dssmsg.baselines.mapper import GreedyMapper, Method
 from dssmsg.baselines.pairs import Weights
-from dssmsg.frame import Float32Array, Frame, MaskArray, Observation
+from dssmsg.frame import Frame, Observation
 from dssmsg.graph.changes import Change
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
@@ -28,6 +28,7 @@ class DovsgConfig(PluginConfig):
     """DovSG's parameters at their published values, but for `tolerance`."""
 
     min_confidence: float = Field(0.25, ge=0, le=1, description="Detections below this score are left out.")
+    min_pixels: int = Field(25, ge=1, description="Things that cover fewer pixels are left out.")
     max_mask_share: float = Field(
         0.3, gt=0, le=1, description="Things that cover more of the image are left out."
     )
@@ -41,7 +42,7 @@ class DovsgConfig(PluginConfig):
     accept: float = Field(
         0.75, ge=0, le=1, description="Least weighted score of a merge; below it a new object."
     )
-    every: int = Field(5, ge=1, description="Key frames between two passes that denoise and join objects.")
+    every: int = Field(5, ge=1, description="Key frames between two passes that join objects.")
     join: float = Field(0.8, ge=0, le=1, description="Objects join above this weighted score.")
     min_detections: int = Field(2, ge=1, description="Objects with fewer are dropped at a visit's end.")
 
@@ -60,7 +61,7 @@ class DovsgAssociation:
                 tolerance=config.tolerance,
                 accept=config.accept,
                 join={"score": config.join},
-                denoise=_keep,
+                denoise=None,
                 every=config.every,
                 min_points=config.min_points,
                 min_detections=config.min_detections,
@@ -72,24 +73,25 @@ class DovsgAssociation:
         self, frame: Frame, observations: Sequence[Observation], viewpoint_id: str | None
     ) -> Sequence[Change]:
         """One `ObjectAdded` or `ObjectMerged` for each observation that passes the method's own filters."""
-        clouds = (cut(one, _keep(one.points_world)) for one in observations if self._fits(frame, one))
+        clouds = (
+            cut(one, largest_neighbour_cluster(one.points_world))
+            for one in observations
+            if self._fits(frame, one)
+        )
         kept = [one for one in clouds if len(one.points_world) >= self._config.min_points]
         return self._mapper.associate(kept, viewpoint_id)
 
     def finish(self) -> Sequence[Change]:
-        """A last denoising and joining; then objects with too few detections are dropped."""
+        """A last pass that joins; then objects with too few detections are dropped."""
         return self._mapper.finish()
 
     def _fits(self, frame: Frame, observation: Observation) -> bool:
         """Sure enough and not too large; pixels are counted only where the box may hold too many."""
-        if observation.score < self._config.min_confidence:
+        config = self._config
+        if observation.score < config.min_confidence or not has_pixels(frame, observation, config.min_pixels):
             return False
-        most = self._config.max_mask_share
+        most = config.max_mask_share
         return box_share(frame, observation) <= most or mask_share(frame, observation) <= most
-
-
-def _keep(points: Float32Array) -> MaskArray:
-    return largest_cluster(points, neighbour_eps(points))
 
 
 @hookimpl

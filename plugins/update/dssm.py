@@ -13,6 +13,7 @@ and another thing of the same kind in the same place is told by its colours.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,6 +65,14 @@ class DssmConfig(PluginConfig):
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Gone:
+    """What an object was before it vanished, and the last frame that may have shown it in its place."""
+
+    state: str
+    last_frame: int
+
+
 class DssmUpdate:
     """Follows the objects of the graph through the visits."""
 
@@ -89,8 +98,8 @@ class DssmUpdate:
         """Objects that were there at the end of the first visit."""
         self._home: dict[str, tuple[FloatArray, FloatArray]] = {}
         """Where the believed ones of them were."""
-        self._vanished: dict[str, str] = {}
-        """Objects found gone and not found again: id -> the state before."""
+        self._vanished: dict[str, _Gone] = {}
+        """Objects found gone and not found again."""
         self._new: dict[str, int] = {}
         """Objects that came after the baseline and are undecided: id -> observations at the last test."""
         self._arrived: dict[str, bool] = {}
@@ -139,10 +148,14 @@ class DssmUpdate:
     def finish(self) -> UpdateResult:
         """A visit is over: what vanished and what arrived are paired; the first visit is the baseline."""
         self._windows.forget_removed()
-        changes = self._moves({}, at_end=True)
-        if not self._baseline and not changes:
+        if not self._baseline:
             return UpdateResult(tuple(self._take_baseline()))
-        return UpdateResult(tuple(changes))
+        # What vanished meanwhile may have made room: asked once more.
+        undecided = [object_id for object_id in self._new if object_id in self._graph.objects]
+        self._new = dict.fromkeys(undecided, 0)
+        verdicts: dict[str, str] = {}
+        changes = self._appearances(undecided, None, verdicts)
+        return UpdateResult((*changes, *self._moves(verdicts, at_end=True)))
 
     # -- what is expected, how readily it moves -------------------------------------------------------------
 
@@ -203,7 +216,7 @@ class DssmUpdate:
                 changes.append(transitions.corrected(node.id, Cause(PLUGIN, "corrected"), scores))
             elif node.dynamic_attribute is None or level(node.dynamic_attribute) < 3:
                 verdicts[node.id] = DISAPPEARED
-                changes += self._vanish(node, "disappeared", scores)
+                changes += self._vanish(node, "disappeared", node.frames[-1], scores)
         return changes
 
     def _exchanges(
@@ -240,28 +253,30 @@ class DssmUpdate:
                 )
             )
             changes.append(transitions.appeared(new_id, cause, scores))
-            changes += self._vanish(node, "exchanged", scores)
+            changes += self._vanish(node, "exchanged", frames[0] - 1, scores)
             verdicts[object_id], verdicts[new_id] = DISAPPEARED, APPEARED
             self._arrived[new_id] = True
             self._not_it.add((object_id, new_id))
         return changes
 
-    def _vanish(self, node: ObjectNode, rule: str, scores: tuple[Score, ...]) -> Iterator[Change]:
+    def _vanish(
+        self, node: ObjectNode, rule: str, last_frame: int, scores: tuple[Score, ...]
+    ) -> Iterator[Change]:
         self._presence.forget(node.id)
-        self._vanished[node.id] = node.state
+        self._vanished[node.id] = _Gone(node.state, last_frame)
         self._arrived.pop(node.id, None)
         self._new.pop(node.id, None)
         return transitions.vanished(self._graph, node.id, Cause(PLUGIN, rule), scores)
 
     def _appearances(
         self,
-        observed: Mapping[str, Observation],
+        object_ids: Iterable[str],
         viewpoint_id: str | None,
         verdicts: dict[str, str],
     ) -> list[Change]:
         """Believed new objects whose place k earlier frames showed free."""
         changes: list[Change] = []
-        for object_id in observed:
+        for object_id in object_ids:
             node = self._graph.objects[object_id]
             if object_id not in self._new or node.status != BELIEVED or object_id in verdicts:
                 continue
@@ -311,7 +326,7 @@ class DssmUpdate:
             (old.id, new.id): self._move_score(old, new)
             for old in olds
             for new in news
-            if (old.id, new.id) not in self._not_it and new.frames[0] > old.frames[-1]
+            if (old.id, new.id) not in self._not_it and new.frames[0] > self._vanished[old.id].last_frame
         }
         fitting = {pair: score for pair, score in scores.items() if score.s_move >= self._needed(pair[1])}
         order = sorted({i for pair in fitting for i in pair}, key=id_order)
@@ -349,7 +364,7 @@ class DssmUpdate:
         self, old: ObjectNode, new: ObjectNode, score: MoveScore, verdicts: dict[str, str]
     ) -> Iterator[Change]:
         needed = self._needed(new.id)
-        former = self._vanished.pop(old.id)
+        former = self._vanished.pop(old.id).state
         self._arrived.pop(new.id, None)
         self._new.pop(new.id, None)
         self._presence.forget(new.id)
