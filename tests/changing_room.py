@@ -1,4 +1,4 @@
-"""A robot that visits a room of boxes again and again, with an oracle's eyes; for tests of what follows change."""
+"""A robot that visits a room of boxes again and again, with an oracle's eyes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from dssmsg_plugins.association.dssm import DssmAssociation
 from dssmsg_plugins.association.dssm import DssmConfig as AssociationConfig
 from dssmsg_plugins.perception.oracle import Oracle, OracleConfig
 from dssmsg_plugins.update.dssm import DssmConfig, DssmUpdate
+from recorded_run import SyntheticRun
 
+from dssmsg.events import FrameCaptured, GraphChanged, PhaseStarted
 from dssmsg.graph.edges import edge_changes
 from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.waypoints import WaypointTopology
 from dssmsg.lift import Lifter
 from dssmsg.mission.pipeline import object_ids_of
+from dssmsg.recording.writer import RecordingWriter
 
 STANDS = ((-1.0, -0.8), (-0.8, 0.8))
 """Where the robot stands; it looks east, a little turned to each side, three frames each."""
@@ -51,7 +54,7 @@ class ScriptedAttribute:
 
 
 class ChangingRoom:
-    """One graph through many visits. `visit(things)` drives past all stands and returns the windows' verdicts."""
+    """One graph through many visits. `visit(things)` drives past all stands and returns the verdicts."""
 
     def __init__(self, *, values=0.9, light=1.0, miss=(), **config) -> None:
         self.llm = ScriptedAttribute(values)
@@ -71,6 +74,7 @@ class ChangingRoom:
         self.visits = 0
         self.windows = []
         self.changes = []
+        self.events = []
 
     def visit(self, things, stands=STANDS, headings=(-25, 0, 25), end=True):
         """Frames at every stand; labels in `missed` are not detected. Returns verdicts by object id."""
@@ -80,8 +84,8 @@ class ChangingRoom:
                 for nudge in (-5, 0, 5):
                     self._frame(things, x, y, math.radians(heading + nudge))
         if end:
-            self._apply(self.association.finish())
-            self._apply(self.update.finish().changes)
+            last = [*self._apply(self.association.finish()), *self._apply(self.update.finish().changes)]
+            self.events.append(GraphChanged(self.index, self.index * 0.2, tuple(last)))
         self.visits += 1
         return {k: v for w in self.windows[before:] for k, v in w.verdicts.items()}
 
@@ -93,6 +97,7 @@ class ChangingRoom:
         base = np.eye(4)
         base[:2, 3] = x, y
         frame = dataclasses.replace(frame, rgb=rgb, world_from_base=base, visit=self.visits, at_stop=True)
+        told = len(self.changes)
         viewpoint, changes = self.topology.observe(frame)
         self._apply(changes)
         detections = [d for d in self.oracle.detect(frame) if d.label not in self.missed]
@@ -104,12 +109,26 @@ class ChangingRoom:
         result = self.update.update(frame.without_truth(), observations, ids, viewpoint)
         self._apply(result.changes)
         self.windows += result.windows
+        self.events += [
+            FrameCaptured(frame.without_truth(), None, True, viewpoint, 0),
+            *result.windows,
+            GraphChanged(self.index, frame.sim_time, tuple(self.changes[told:])),
+        ]
         self.index += 1
 
     def _apply(self, changes):
         applied = self.graph.apply_all(tuple(changes), self.index, self.index * 0.2)
         self.changes += applied
         return applied
+
+    def record(self, path):
+        """Everything so far as a finished recording."""
+        run = SyntheticRun(frames=self.index)
+        writer = RecordingWriter(path, run.run_id)
+        for event in (run.started(), PhaseStarted("survey", 0, 0, 0.0), *self.events, run.finished()):
+            writer.write(event)
+        writer.close()
+        return path
 
     def named(self, label):
         """Believed objects of a label that are there, by id."""

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from dssmsg.graph import changes as c
-from dssmsg.graph.nodes import BELIEVED, PATH, SEES
+from dssmsg.graph.nodes import BELIEVED, NEAR, PATH, SEES
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.interfaces.source import SourceInfo
 
@@ -59,11 +59,16 @@ class FloorGraph:
         attributes = {"length": metres, "verified": "driven", "blocked": blocked}
         self.add(c.EdgeAdded(cause=CAUSE, edge=PATH, source=a, target=b, attributes=attributes))
 
-    def thing(self, label, x, y, seen_from, feature=None, status=BELIEVED):
+    def thing(
+        self, label, x, y, seen_from, feature=None, status=BELIEVED, *, z=0.5, size=0.2, color=0, image=None
+    ):
+        """An object in a box of `size` metres: 20 points, or with three sizes 300, most on top."""
         self._objects += 1
         name = f"object-{self._objects}"
-        spread = np.random.default_rng(self._objects).uniform(-0.1, 0.1, (20, 3))
-        points = (spread + np.array([x, y, 0.5])).astype(np.float32)
+        count = 20 if np.ndim(size) == 0 else 300
+        spread = np.random.default_rng(self._objects).uniform(-0.5, 0.5, (count, 3))
+        spread[20:, 2] = 0.5
+        points = (spread * size + np.array([x, y, z])).astype(np.float32)
         self.add(
             c.ObjectAdded(
                 cause=CAUSE,
@@ -71,10 +76,11 @@ class FloorGraph:
                 label=label,
                 score=1.0,
                 points=points,
-                colors=np.zeros((20, 3), np.uint8),
+                colors=np.zeros((count, 3), np.uint8) + np.array(color, np.uint8),
                 viewpoint_id=seen_from[0],
                 range_m=1.0,
                 text_feature=feature,
+                image_feature=image,
             ),
             c.ObjectChanged(cause=CAUSE, object_id=name, values={"status": status}),
         )
@@ -85,6 +91,11 @@ class FloorGraph:
                 )
             )
         return name
+
+    def near(self, a, b):
+        """A `near` edge; what it says of the two is not looked at."""
+        attributes = {"distance": 0.1, "relation": "next to", "offset": [0.1, 0.0, 0.0]}
+        self.add(c.EdgeAdded(cause=CAUSE, edge=NEAR, source=a, target=b, attributes=attributes))
 
 
 class WordEncoder:
@@ -115,7 +126,7 @@ class WordEncoder:
         return self._axes.setdefault(label, len(self._axes))
 
 
-def context(graph, encoder=None, **others):
+def context(graph, encoder=None, camera=None, **others):
     """A Context as far as these plug-ins look into it."""
-    source = SourceInfo("test", SimpleNamespace(), drivable=True, has_truth=False)
+    source = SourceInfo("test", camera or SimpleNamespace(), drivable=True, has_truth=False)
     return SimpleNamespace(graph=graph, encoder=encoder, source=source, **others)

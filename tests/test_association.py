@@ -32,7 +32,8 @@ ROOM = [
     Thing("chair", (1.5, 1.0, 0.0), (1.9, 1.4, 0.6)),
     Thing("sofa", (-0.8, 2.2, 0.0), (0.8, 3.0, 0.6)),
 ]
-FRAME = look([], pose_at(0, 0, 0))
+FRAME = dataclasses.replace(look([], pose_at(0, 0, 0)), depth=np.zeros((120, 160), np.float32))
+"""A frame that says nothing of any place: the observations alone speak."""
 
 
 def cloud(low, high, step=0.025):
@@ -337,6 +338,23 @@ def test_neighbours_that_one_frame_saw_stay_two_at_the_end():
     world = World()
     world.see(observe("chair", (1, 0, 0), (1.4, 0.5, 0.5)), observe("chair", (1, 0.55, 0), (1.4, 1.0, 0.5)))
     assert world.finish() == ()
+
+
+def test_what_depth_shows_free_is_not_merged_into():
+    """The chair is pushed aside by less than its width: what is seen overlaps it, its other half is free."""
+    pose = pose_at(0, 0.6, 0, tilt=math.radians(-15))
+    before, after = ((1.5, 0.4, 0.0), (1.9, 0.8, 0.6)), ((1.5, 0.65, 0.0), (1.9, 1.05, 0.6))
+    world = World()
+    frame = look([Thing("chair", *before)], pose)
+    for _ in range(2):
+        world.see(observe("chair", *before), frame=frame)
+    changes = world.see(observe("chair", *after), frame=look([Thing("chair", *after)], pose))
+    assert rules(changes)[0][0] == "object_added"
+    exact = World(paper_exact=True)
+    for _ in range(2):
+        exact.see(observe("chair", *before), frame=frame)
+    changes = exact.see(observe("chair", *after), frame=look([Thing("chair", *after)], pose))
+    assert rules(changes)[0][0] == "object_merged"
 
 
 def test_belief_needs_votes_and_views():

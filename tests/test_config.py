@@ -51,7 +51,7 @@ def test_default_names_a_plugin_for_every_place() -> None:
         "llm": "lexicon",
         "association": "dssm",
         "update": "none",
-        "grounding": "objects",
+        "grounding": "dssm",
         "navigation": "dijkstra",
         "recording.observers.rerun": "rerun",
     }

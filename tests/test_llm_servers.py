@@ -83,6 +83,7 @@ class Talk:
 @pytest.fixture(autouse=True)
 def _key(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TEST_KEY", KEY)
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
 
 
 @pytest.fixture(params=PROTOCOLS)
@@ -119,7 +120,7 @@ def test_a_good_answer(serve: Any, protocol: str) -> None:
 
 
 # The twelve ways: (behaviour, options, words of the error, whether the model itself answers in the end).
-FAST = {"timeout_secs": 0.3}
+FAST = {"timeout_secs": 0.2}
 TWELVE: dict[str, tuple[Any, dict[str, Any], str, bool]] = {
     "slow": (servers.silent, FAST, "no answer", True),
     "dead": (servers.hanging_up, {}, "no connection", True),
@@ -134,7 +135,7 @@ TWELVE: dict[str, tuple[Any, dict[str, Any], str, bool]] = {
     "wrong content type": (servers.wrong_type, {}, "expected application/json.*text/html.*WLAN", True),
     # The twelfth, injected instructions, is about what is sent: see below.
     "a thousand nodes": (servers.thousand_nodes, {}, "at most 20, got 1000", True),
-    "drip": (servers.dripping, FAST, "no answer within 0.3 s", True),
+    "drip": (servers.dripping, FAST, "no answer within 0.2 s", True),
 }
 
 
@@ -347,6 +348,20 @@ def test_a_server_that_repeats_the_key_does_not_spread_it(
     everything = " ".join([str(caught.value), talk.everything, echoing.everything, caplog.text])
     assert KEY not in everything
     assert KEY[3:] not in everything
+
+
+@pytest.mark.parametrize("before", [150, 190, 385, 395])
+def test_a_key_is_hidden_before_a_text_is_cut(
+    serve: Any, monkeypatch: pytest.MonkeyPatch, before: int
+) -> None:
+    monkeypatch.setenv("TEST_KEY", "plainwords" * 4)
+    talk, _server = serve(servers.refusing(500, "y" * before + " " + "plainwords" * 4), retries=0)
+    other, _server = serve(
+        lambda exchange: exchange.send(b"y" * before + b"plainwords" * 4, kind="text/plain"), retries=0
+    )
+    assert [talk.ask(), other.ask()] == ["bed", "bed"]
+    assert "plain" not in talk.everything.replace("text/plain", "")
+    assert "plain" not in other.everything.replace("text/plain", "")
 
 
 def test_another_server_gets_no_key_unless_one_is_named(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 STAGES = ("render", "masks", "masks2", "masks3", "crops", "proposals", "tune", "export", "calibrate")
-SEEDS = range(540)
+SEEDS = (*range(540), *range(600, 800))
 
 
 def main() -> None:

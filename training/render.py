@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dssmsg.recogniser.shelf import Shelf, all_labels, seed_range
-from dssmsg.recogniser.views import View, home_views, room_views
+from dssmsg.recogniser.views import View, home_views, lived_in_views, room_views
 from dssmsg.sim.furniture import FurnitureLibrary
 
 VIEWS_A_SEED = 10
@@ -20,6 +21,11 @@ KINDS = ("room",) * 11 + ("embedded room",) * 2 + ("home",) * 5 + ("embedded hom
 CLUTTERED_FROM = 300
 """Seeds from here on give cluttered rooms: small things are rare in the others."""
 CLUTTERED = ("cluttered room",) * 17 + ("embedded cluttered room",) * 3
+LIVED_IN_FROM = 600
+"""From here on rooms and homes as people leave them, mostly seen from near by."""
+LIVED_IN = ("lived-in room", "lived-in home", "lived-in room", "lived-in home", "embedded lived-in room",
+            "lived-in room", "lived-in home", "lived-in room", "lived-in home", "lived-in room")  # fmt: skip
+LIVED_IN_VIEWS = 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +40,11 @@ class Shard:
     label: NDArray[np.int16]
 
 
-def render(folder: Path, seeds: range, *, part: int = 0, parts: int = 1) -> int:
+def render(folder: Path, seeds: Iterable[int], *, part: int = 0, parts: int = 1) -> int:
     """Render the seeds of `part` (of `parts`, for several processes) that have no shard yet; counts them."""
     folder.mkdir(parents=True, exist_ok=True)
-    shelves: dict[str, Shelf] = {}
-    libraries: dict[str, FurnitureLibrary] = {}
+    # Opened once each: reading the catalogues takes as long as some rooms.
+    shelf_of, library_of = functools.cache(Shelf), functools.cache(FurnitureLibrary.open)
     made = 0
     for seed in seeds:
         path = folder / f"{seed:06d}.npz"
@@ -46,15 +52,16 @@ def render(folder: Path, seeds: range, *, part: int = 0, parts: int = 1) -> int:
             continue
         if seed not in seed_range("train"):
             raise ValueError(f"seed {seed} is kept for the evaluation")
-        kinds = CLUTTERED if seed >= CLUTTERED_FROM else KINDS
+        kinds = LIVED_IN if seed >= LIVED_IN_FROM else CLUTTERED if seed >= CLUTTERED_FROM else KINDS
         kind = kinds[seed % len(kinds)]
         assets = "embedded" if kind.startswith("embedded") else "real"
-        if kind.endswith("room"):
-            shelf = shelves.setdefault(assets, Shelf(assets))
-            views = list(room_views(shelf, seed, VIEWS_A_SEED, clutter="cluttered" in kind))
+        if "lived-in" in kind:
+            home = library_of(assets) if kind.endswith("home") else None
+            views = list(lived_in_views(shelf_of(assets), seed, LIVED_IN_VIEWS, home))
+        elif kind.endswith("room"):
+            views = list(room_views(shelf_of(assets), seed, VIEWS_A_SEED, clutter="cluttered" in kind))
         else:
-            library = libraries.setdefault(assets, FurnitureLibrary.open(assets))
-            views = list(home_views(library, seed, VIEWS_A_SEED))
+            views = list(home_views(library_of(assets), seed, VIEWS_A_SEED))
         if views:
             _write(path, views)
             made += 1

@@ -13,11 +13,12 @@ from dssmsg.geometry import (
     back_project_world,
     box_of,
     invert_rigid,
-    points_in_box,
     project,
     transform_points,
 )
 from dssmsg.graph.voxels import contained, voxel_keys
+
+_RIM_PIXELS = 8
 
 
 def pixel_box(frame: Frame, observation: Observation) -> tuple[float, float, float, float]:
@@ -39,19 +40,27 @@ def box_share(frame: Frame, observation: Observation) -> float:
     return (right - left) * (bottom - top) / (frame.camera.width * frame.camera.height)
 
 
-def mask_share(frame: Frame, observation: Observation) -> float:
-    """Share 0..1 of the image whose pixels lie in the observation's voxels: its mask, as far as lifted."""
-    readable: MaskArray = np.zeros(frame.depth.shape, dtype=np.bool_)
+def covered_pixels(frame: Frame, observation: Observation) -> int:
+    """How many pixels lie in the observation's voxels: the size of its mask, as far as it was lifted."""
+    wanted: MaskArray = np.zeros(frame.depth.shape, dtype=np.bool_)
     left, top, right, bottom = pixel_box(frame, observation)
     # Voxels are held by their mean point: pixels of one may fall a little outside of the points' box.
-    rows = slice(max(int(top) - 8, 0), int(bottom) + 9)
-    columns = slice(max(int(left) - 8, 0), int(right) + 9)
-    readable[rows, columns] = frame.depth[rows, columns] > 0
-    points = back_project_world(frame.depth, frame.camera, frame.world_from_camera, readable)
-    low, high = box_of(observation.points_world)
-    points = points[points_in_box(points, low - 0.05, high + 0.05)]
-    inside = contained(voxel_keys(points), np.sort(voxel_keys(observation.points_world)))
-    return int(np.count_nonzero(inside)) / readable.size
+    rows = slice(max(int(top) - _RIM_PIXELS, 0), int(bottom) + _RIM_PIXELS)
+    columns = slice(max(int(left) - _RIM_PIXELS, 0), int(right) + _RIM_PIXELS)
+    wanted[rows, columns] = True
+    points = back_project_world(frame.depth, frame.camera, frame.world_from_camera, wanted)
+    keys = voxel_keys(points.astype(observation.points_world.dtype))
+    return int(np.count_nonzero(contained(keys, np.sort(voxel_keys(observation.points_world)))))
+
+
+def has_pixels(frame: Frame, observation: Observation, least: int) -> bool:
+    """Whether the observation covers at least so many pixels. Each voxel comes from one at least."""
+    return len(observation.points_world) >= least or covered_pixels(frame, observation) >= least
+
+
+def mask_share(frame: Frame, observation: Observation) -> float:
+    """Share 0..1 of the image that the observation covers."""
+    return covered_pixels(frame, observation) / frame.depth.size
 
 
 def without_contained(

@@ -6,12 +6,12 @@ several may go to one object. The two methods differ in a `Method`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from dssmsg.baselines.pairs import Pair, PairScorer, Weights
-from dssmsg.baselines.tidying import denoised, joined
-from dssmsg.frame import Float32Array, MaskArray, Observation
+from dssmsg.baselines.tidying import Denoise, denoised, joined
+from dssmsg.frame import Float32Array, Observation
 from dssmsg.geometry import grow_box
 from dssmsg.graph.changes import (
     Cause,
@@ -20,6 +20,7 @@ from dssmsg.graph.changes import (
     ObjectChanged,
     ObjectMerged,
     ObjectRemoved,
+    ObjectReplaced,
     Score,
 )
 from dssmsg.graph.fusion import counted, winner
@@ -33,8 +34,8 @@ class Method:
     """What makes a method: lengths in metres, `every` in key frames.
 
     `accept` is the least score of a merge, `join` the limits that two objects' terms must exceed to be one;
-    `denoise` says which points of an object's cloud stay. `by_majority`: each detection has one vote on the
-    label; otherwise the most confident detection names the object.
+    `denoise` says which points of objects' clouds stay, None: all. `by_majority`: each detection has one
+    vote on the label; otherwise the most confident detection names the object.
     """
 
     plugin: str
@@ -42,7 +43,7 @@ class Method:
     tolerance: float
     accept: float
     join: Mapping[str, float]
-    denoise: Callable[[Float32Array], MaskArray]
+    denoise: Denoise | None
     every: int
     min_points: int
     min_detections: int
@@ -78,7 +79,10 @@ class _Tidied:
 
 
 class GreedyMapper:
-    """Turns observations into changes. Keeps what was touched since the last tidy-up, and who named what."""
+    """Turns observations into changes.
+
+    Keeps what was touched since the last tidy-up, the clouds denoised then, and each object's surest name.
+    """
 
     def __init__(self, graph: GraphView, ids: IdAllocator, method: Method) -> None:
         self._graph = graph
@@ -88,6 +92,7 @@ class GreedyMapper:
         self._key_frames = 0
         self._touched: set[str] = set()
         self._surest: dict[str, tuple[float, str]] = {}
+        self._denoised: dict[str, Float32Array] = {}
         self._standings: dict[str, _Standing] = {}
 
     def associate(self, observations: Sequence[Observation], viewpoint_id: str | None) -> list[Change]:
@@ -135,6 +140,7 @@ class GreedyMapper:
                     )
                 )
         self._surest = {one: known for one, known in self._surest.items() if one in self._graph.objects}
+        self._denoised = {one: cloud for one, cloud in self._denoised.items() if one in self._graph.objects}
         return changes
 
     # -- one observation ----------------------------------------------------------------------------------
@@ -203,7 +209,11 @@ class GreedyMapper:
         method, graph = self._method, self._graph
         touched = sorted((one for one in self._touched if one in graph.objects), key=id_order)
         self._touched = set()
-        cut = denoised(graph, touched, method.denoise, method.min_points, method.plugin)
+        cut: list[ObjectReplaced] = []
+        if method.denoise is not None:
+            fresh = [one for one in touched if self._denoised.get(one) is not graph.objects[one].points]
+            self._denoised.update({one: graph.objects[one].points for one in fresh})
+            cut = denoised(graph, fresh, method.denoise, method.min_points, method.plugin)
         joins = joined(graph, self._scorer, touched, method.join, method.plugin)
         into: dict[str, str] = {}
         for join in joins:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
 
 from dssmsg.baselines.pairs import Pair, PairScorer
 from dssmsg.frame import Float32Array, MaskArray
@@ -11,27 +13,25 @@ from dssmsg.graph.changes import Cause, ObjectReplaced, ObjectsJoined, Score
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.view import GraphView
 
+Denoise = Callable[[Sequence[Float32Array]], Sequence[MaskArray]]
+"""Of clouds (N, 3) the points to keep, (N,) bool each."""
+
 
 def denoised(
-    graph: GraphView,
-    object_ids: Iterable[str],
-    keep: Callable[[Float32Array], MaskArray],
-    min_points: int,
-    plugin: str,
+    graph: GraphView, object_ids: Sequence[str], denoise: Denoise, min_points: int, plugin: str
 ) -> list[ObjectReplaced]:
-    """The clouds of objects, cut to the points that `keep` says, where at least `min_points` are left."""
+    """The clouds of objects, cut to the points that `denoise` keeps, where at least `min_points` are left."""
+    nodes = [graph.objects[object_id] for object_id in object_ids]
     changes = []
-    for object_id in object_ids:
-        node = graph.objects[object_id]
-        kept = keep(node.points)
-        count = int(kept.sum())
+    for node, kept in zip(nodes, denoise([node.points for node in nodes]), strict=True):
+        count = int(np.count_nonzero(kept))
         if count == len(kept) or count < min_points:
             continue
         changes.append(
             ObjectReplaced(
                 cause=Cause(plugin, "denoise"),
                 scores=(Score("points", float(count), float(min_points)),),
-                object_id=object_id,
+                object_id=node.id,
                 points=node.points[kept],
                 colors=node.colors[kept],
             )

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from dssmsg import __version__
-from dssmsg.cli import evaluate, models, recordings
+from dssmsg.cli import evaluate, explain, models, query, recordings
 
 # Plain help: rich would take as long to import as everything else together.
 app = typer.Typer(
@@ -148,6 +148,8 @@ def doctor(
 
 
 recordings.register(app)
+explain.register(app)
+query.register(app)
 models.register(app)
 evaluate.register(app)
 

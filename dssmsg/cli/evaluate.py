@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dssmsg.cli import evaluate_navigation, evaluate_table4, evaluate_tables
 from dssmsg.errors import StorageError
 
 if TYPE_CHECKING:
@@ -36,6 +37,9 @@ def register(app: typer.Typer) -> None:
     """Add the command group to the program."""
     group = typer.Typer(help="Measure quality against the truth.", rich_markup_mode=None)
     app.add_typer(group, name="eval")
+    evaluate_tables.register(group)
+    evaluate_navigation.register(group)
+    evaluate_table4.register(group)
 
     @group.command()
     def perception(
@@ -90,9 +94,14 @@ def register(app: typer.Typer) -> None:
         Precision, recall and F1 by label and place. Without --work nothing is kept.
         """
         show_static(
-            _names(scenes, "--scenes"), _names(perception, "--perception"), seeds, config, sets or (), work,
+            names_of(scenes, "--scenes"),
+            names_of(perception, "--perception"),
+            seeds,
+            config,
+            sets or (),
+            work,
             as_json=as_json,
-        )  # fmt: skip
+        )
 
 
 def show_static(
@@ -108,7 +117,7 @@ def show_static(
     """Print the rows of `evaluate_static`; progress goes to stderr."""
     from dssmsg.cli.output import stdout_to_stderr
 
-    with stdout_to_stderr(), _folder(work) as folder:
+    with stdout_to_stderr(), work_folder(work) as folder:
         from dssmsg.evaluate.static_runs import evaluate_static, static_rows
 
         runs = evaluate_static(
@@ -119,7 +128,7 @@ def show_static(
 
 
 @contextmanager
-def _folder(work: Path | None) -> Iterator[Path]:
+def work_folder(work: Path | None) -> Iterator[Path]:
     """The folder that is asked for, made where it is missing; else one that goes afterwards.
 
     Raises StorageError where it cannot be made.
@@ -135,7 +144,7 @@ def _folder(work: Path | None) -> Iterator[Path]:
     yield work
 
 
-def _names(text: str, option: str) -> list[str]:
+def names_of(text: str, option: str) -> list[str]:
     """The names of a list with commas, each once."""
     names = [name.strip() for name in text.split(",")]
     if not all(names) or len(set(names)) < len(names):

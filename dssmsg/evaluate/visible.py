@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,12 +33,21 @@ class Place:
     box_max: FloatArray
     surface_min: FloatArray | None
     surface_max: FloatArray | None
+    visits: Mapping[int, int] = field(default_factory=dict)
+    """`frames` by the visit in which they were taken."""
+
+    @property
+    def center(self) -> FloatArray:
+        """Centre (3,) of the visible surface, of the true box where nothing was visible."""
+        if self.surface_min is None or self.surface_max is None:
+            return np.asarray((self.box_min + self.box_max) / 2)
+        return np.asarray((self.surface_min + self.surface_max) / 2)
 
 
 @dataclass(slots=True)
 class _Tally:
     truth: TruthObject
-    frames: int = 0
+    visits: Counter[int] = field(default_factory=Counter)
     low: FloatArray | None = None
     high: FloatArray | None = None
 
@@ -60,7 +71,7 @@ class VisibleTruth:
             tally.truth = known
             if known.instance_id >= len(pixels) or pixels[known.instance_id] < MIN_PIXELS:
                 continue
-            tally.frames += 1
+            tally.visits[frame.visit] += 1
             points = back_project_world(
                 frame.depth, frame.camera, frame.world_from_camera, truth.instance_ids == known.instance_id
             )
@@ -81,11 +92,12 @@ class VisibleTruth:
                 name,
                 tally.truth.label,
                 self._latest[name].state,
-                tally.frames,
+                tally.visits.total(),
                 tally.truth.box_min,
                 tally.truth.box_max,
                 tally.low,
                 tally.high,
+                dict(tally.visits),
             )
             for (name, _), tally in self._places.items()
         ]

@@ -16,7 +16,6 @@ s_top is the share of its nodes matched; a candidate whose matched nodes have no
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,17 +48,24 @@ class TopologyMatch:
     similarity: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _Vertex:
-    """A matching as a point: a = deg_tar . deg_can, b = |deg_can|^2."""
+    """A matching as a point: a = deg_tar . deg_can, b = |deg_can|^2; and the slopes it was found best at."""
 
     a: int
     b: int
+    flattest: float = math.inf
+    steepest: float = 0.0
 
     def beats(self, other: _Vertex) -> int:
         """Sign of the difference of both cosines; exact."""
         left, right = self.a**2 * max(other.b, 1), other.a**2 * max(self.b, 1)
         return (left > right) - (left < right)
+
+    @property
+    def square(self) -> float:
+        """a^2 / b, which grows with the cosine."""
+        return self.a**2 / max(self.b, 1)
 
 
 def node_score(similarity: FloatArray) -> float:
@@ -108,45 +114,35 @@ class _Problem:
         self._squares = np.broadcast_to(offered * offered, allowed.shape)
         self._a_limit = int(self._products.max(initial=0)) * self._pairs
         self._b_limit = int(self._squares.max(initial=0)) * self._pairs
+        self._found: dict[tuple[int, int], _Vertex] = {}
 
     def winners(self) -> list[_Vertex]:
         """The vertices with the largest cosine (more than one only if exactly equal)."""
-        best = [_Vertex(0, 0)]
-        for vertex in self._vertices(best):
-            order = vertex.beats(best[0])
-            if order > 0:
-                best[:] = [vertex]
-            elif order == 0 and all((vertex.a, vertex.b) != (one.a, one.b) for one in best):
-                best.append(vertex)
-        return best
-
-    def _vertices(self, best: list[_Vertex]) -> Iterator[_Vertex]:
-        """Vertices of the hull, both ends first; stretches that cannot reach `best` are passed over."""
-        flat, steep = (1, self._b_limit + 1), (self._a_limit + 1, 1)
-        low, high = self._vertex(*steep), self._vertex(*flat)
-        yield low
-        if (low.a, low.b) == (high.a, high.b):
-            return
-        yield high
-        # Each stretch with the slopes p / q at which its ends were found.
-        stretches = [(low, steep, high, flat)]
+        low, high = self._visit(self._a_limit + 1, 1), self._visit(1, self._b_limit + 1)
+        best = low if low.beats(high) > 0 else high
+        stretches = [(low, high)] if low is not high else []
         while stretches:
-            low, at_low, high, at_high = stretches.pop()
-            if _limit(low, at_low, high, at_high) < best[0].a ** 2 / max(best[0].b, 1) * (1 - 1e-9):
-                continue
-            p, q = high.a - low.a, high.b - low.b
-            divisor = math.gcd(p, q)
-            slope = p // divisor, q // divisor
-            between = self._vertex(*slope)
-            if slope[1] * between.a - slope[0] * between.b > slope[1] * low.a - slope[0] * low.b:
-                yield between
-                stretches += [(low, at_low, between, slope), (between, slope, high, at_high)]
+            # The most promising one first: what it finds shows of others that they cannot reach it.
+            left, right = stretches.pop(max(range(len(stretches)), key=lambda one: _limit(*stretches[one])))
+            if _limit(left, right) < best.square * (1 - 1e-9):
+                break
+            p, q = right.a - left.a, right.b - left.b
+            between = self._visit(p, q)
+            if q * between.a - p * between.b > q * left.a - p * left.b:
+                stretches += [(left, between), (between, right)]
+                best = between if between.beats(best) > 0 else best
+        return [one for one in self._found.values() if one.beats(best) == 0]
 
-    def _vertex(self, p: int, q: int) -> _Vertex:
-        columns = self._solve(q * self._products - p * self._squares)
+    def _visit(self, p: int, q: int) -> _Vertex:
+        """The vertex that maximises q a - p b."""
+        divisor = math.gcd(p, q)
+        columns = self._solve(q // divisor * self._products - p // divisor * self._squares)
         rows = np.flatnonzero(columns >= 0)
         chosen = rows, columns[rows]
-        return _Vertex(int(self._products[chosen].sum()), int(self._squares[chosen].sum()))
+        a, b = int(self._products[chosen].sum()), int(self._squares[chosen].sum())
+        vertex = self._found.setdefault((b, a), _Vertex(a, b))
+        vertex.flattest, vertex.steepest = min(vertex.flattest, p / q), max(vertex.steepest, p / q)
+        return vertex
 
     def solve_tie(self, vertex: _Vertex, similarity: FloatArray) -> NDArray[np.int64]:
         """Of the matchings at a vertex the one with the largest summed similarity.
@@ -176,13 +172,13 @@ class _Problem:
         return found
 
 
-def _limit(low: _Vertex, at_low: tuple[int, int], high: _Vertex, at_high: tuple[int, int]) -> float:
+def _limit(left: _Vertex, right: _Vertex) -> float:
     """The most that a^2 / b can be between two vertices: its value where their supporting lines meet."""
-    slope_low, slope_high = at_low[0] / at_low[1], at_high[0] / at_high[1]
-    if slope_low <= slope_high:
-        return max(low.a**2 / max(low.b, 1), high.a**2 / max(high.b, 1))
-    b = (high.a - low.a + slope_low * low.b - slope_high * high.b) / (slope_low - slope_high)
-    a = low.a + slope_low * (b - low.b)
+    slope_left, slope_right = left.flattest, right.steepest
+    if slope_left <= slope_right:
+        return max(left.square, right.square)
+    b = (right.a - left.a + slope_left * left.b - slope_right * right.b) / (slope_left - slope_right)
+    a = left.a + slope_left * (b - left.b)
     return a * a / b if b > 0 else math.inf
 
 

@@ -281,17 +281,20 @@ class TopologyMaintenance:
 
     def _closed(self, here: list[str]) -> Iterator[EdgeAdded]:
         """Edges between waypoints in verified free line of sight that are far apart over the topology."""
-        o = self._options
-        for a, b in itertools.combinations(here, 2):
-            start, end = self._xy(a), self._xy(b)
-            length = math.dist(start, end)
+        o, taken = self._options, set[str]()
+        pairs = [(math.dist(self._xy(a), self._xy(b)), a, b) for a, b in itertools.combinations(here, 2)]
+        for length, a, b in sorted(pairs, key=lambda pair: (pair[0], id_order(pair[1]), id_order(pair[2]))):
             if not o.closure_min <= length <= o.closure_max or edge_key(a, b) in self._graph.edges:
                 continue
+            if a in taken or b in taken:  # the edge found first may make this one needless: next key frame
+                continue
+            start, end = self._xy(a), self._xy(b)
             strip = self._floor.corridor(start, end, o.half_width)
             if strip.cells or strip.free < o.free or self._stands_between(start, end):
                 continue
             if shortest_path(self._graph, a, b, longest=o.gain * length) is not None:
                 continue
+            taken |= {a, b}
             _kind, source, target = edge_key(a, b)
             yield EdgeAdded(
                 cause=Cause(CAUSE, "line_of_sight"),

@@ -86,7 +86,7 @@ def frame_scores(frames: Sequence[int], k: int) -> Scores:
 
 
 def without_repeats(changes: Iterable[Change]) -> Iterator[Change]:
-    """The changes of one frame where each edge goes once: two neighbours that vanish together share theirs."""
+    """The changes of one frame where each edge goes once: neighbours that vanish together share theirs."""
     gone: set[tuple[str, str, str]] = set()
     removed: set[str] = set()
     for change in changes:

@@ -1,4 +1,4 @@
-"""Household English by table: sentences read into target graphs, needs and rooms into things, labels into habits.
+"""Household English by table: sentences become target graphs, labels a measure of how things move.
 
     words      tokens, singulars, stems
     tables     the readable YAML: labels, grammar, needs, rooms; packaged, and a user's own over it
@@ -8,5 +8,5 @@
     target     both put together: the target graph as the JSON that a language model would give
     movement   label, size and surroundings -> how readily a thing is moved (paper III-A)
 
-Nothing here is learnt and nothing asks a network; a text encoder helps where no wording fits, if there is one.
+Nothing here is learnt and nothing asks a network; where no wording fits a text encoder helps.
 """

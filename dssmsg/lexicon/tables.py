@@ -1,7 +1,7 @@
 """The tables of the lexicon as they are written: packaged YAML files, and a user's own laid over them.
 
-Every file may hold any of the sections. Of mappings a later file replaces or adds lines, lists grow; so a file
-of three lines is enough to teach the lexicon a word.
+Every file may hold any of the sections. Of mappings a later file replaces or adds lines, lists grow; so a
+file of one line is enough to teach the lexicon a word.
 """
 
 from __future__ import annotations

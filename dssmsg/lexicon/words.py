@@ -69,10 +69,19 @@ def singular(word: str) -> str:
     return word[:-1] if word.endswith("s") and not word.endswith(("ss", "us", "is")) else word
 
 
+_PAST_FORMS = {
+    "kept": "keep", "sat": "sit", "ate": "eat", "eaten": "eat", "slept": "sleep", "made": "make",
+    "done": "do", "found": "find", "left": "leave", "wrote": "write", "written": "write", "drank": "drink",
+    "took": "take", "taken": "take", "spilt": "spill", "worn": "wear", "lying": "lie", "tying": "tie",
+    "sang": "sing", "rode": "ride", "hung": "hang",
+}  # fmt: skip
+
+
 @functools.lru_cache(maxsize=20_000)
 def stem(word: str) -> str:
     """What the forms of a word have in common: `washing`, `washed` and `wash` are one. Not a word itself."""
     plain = singular(word.removesuffix("'s"))
+    plain = _PAST_FORMS.get(plain, plain)
     for ending in ("ing", "ed"):
         if plain.endswith(ending) and len(plain) - len(ending) >= 3:
             plain = plain[: -len(ending)]

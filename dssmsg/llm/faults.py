@@ -1,4 +1,7 @@
-"""What the exceptions of client libraries mean: whether to try again, when, and what to tell the user."""
+"""What the exceptions of client libraries mean: whether to try again, when, and what to tell the user.
+
+Texts are not cut here: whoever tells them hides keys first, and half a key would not be found.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ from typing import Any
 
 from dssmsg.llm.provider import ProviderFault
 
-_PASSING = frozenset({408, 409, 425, 429, 500, 502, 503, 504, 520, 522, 524, 529})
-"""States that may pass: time-outs, conflicts, rate limits, faults and overload of the server."""
+_PASSING = frozenset({408, 409, 425, 429})
+"""Below 500, what may pass: time-outs, conflicts, rate limits; from 500 on everything may."""
+_CONNECTION = ("Connect", "RemoteProtocol", "Read", "Write", "APIConnection")
+"""How the classes of errors about a connection begin, in every client library."""
 _REFUSED = frozenset({400, 422})
-_SHOWN_MESSAGE = 200
 
 
 class AnswerTooLong(Exception):
@@ -38,14 +42,14 @@ def fault_of(error: Exception) -> ProviderFault:
     roots = [type(one).__name__ for one in _causes(error)]
     if any("Timeout" in one for one in roots):
         return ProviderFault(f"no answer in time ({name})", retry=True)
-    if any("Connect" in one or "Protocol" in one or "Read" in one for one in roots):
+    if any(one.startswith(_CONNECTION) for one in roots):
         return ProviderFault(f"no connection: {_root(error)}", retry=True)
     return ProviderFault(f"{name}: {error}", retry=False)
 
 
 def _of_status(status: int, error: Exception, headers: Mapping[str, str]) -> ProviderFault:
     code = str(getattr(error, "code", "") or "")
-    said = " ".join(str(getattr(error, "message", "") or error).split())[:_SHOWN_MESSAGE]
+    said = " ".join(_said(error).split())
     hint = {401: " (is the key right?)", 403: " (is the key right?)", 404: " (are base_url and model right?)"}
     passing = (status in _PASSING or status >= 500) and code != "insufficient_quota"
     return ProviderFault(
@@ -54,6 +58,16 @@ def _of_status(status: int, error: Exception, headers: Mapping[str, str]) -> Pro
         simpler=status in _REFUSED,
         headers=headers,
     )
+
+
+def _said(error: Exception) -> str:
+    """The server's own words where its body has the form of either protocol, else the library's."""
+    body = getattr(error, "body", None)
+    for part in (body.get("error"), body) if isinstance(body, dict) else ():
+        if isinstance(part, dict) and isinstance(part.get("message"), str):
+            words: str = part["message"]
+            return words
+    return str(getattr(error, "message", "") or error)
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:

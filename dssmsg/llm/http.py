@@ -11,8 +11,6 @@ import httpx2
 from dssmsg.llm.faults import AnswerTooLong, lower
 from dssmsg.llm.provider import ProviderFault
 
-_SHOWN_BODY = 200
-
 
 class _Bounded(httpx2.SyncByteStream):
     """A body that ends with AnswerTooLong where it goes on beyond `limit` bytes."""
@@ -61,7 +59,7 @@ def json_body(response: httpx2.Response) -> Mapping[str, Any]:
     kind = response.headers.get("content-type", "").partition(";")[0].strip().lower()
     headers = lower(response.headers)
     if kind != "application/json" and not kind.endswith("+json"):
-        start = response.content[:_SHOWN_BODY].decode("utf-8", "replace")
+        start = response.content.decode("utf-8", "replace")
         raise ProviderFault(
             f"expected application/json, the server sent {kind or 'no content type'}: {start}",
             retry=True,

@@ -81,7 +81,7 @@ def _date(text: str) -> datetime | None:
     for parse in (datetime.fromisoformat, parsedate_to_datetime):
         try:
             date = parse(text)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, IndexError, OverflowError):  # the parsers' own words for "no date"
             continue
         return date if date.tzinfo is not None else date.replace(tzinfo=UTC)
     return None

@@ -33,11 +33,13 @@ class Redactor:
 
 
 def environment_secrets(environment: Mapping[str, str] | None = None) -> tuple[str, ...]:
-    """The values of all variables that are named like a key: `OPENAI_API_KEY`, `MY_TOKEN`."""
+    """The values of all variables that are named like a key: `OPENAI_API_KEY`, `MY_TOKEN`.
+
+    Plain words and paths are left out, or a variable `X_KEY=default` would blacken that word in every prompt.
+    """
     found = os.environ if environment is None else environment
-    return tuple(
-        value.strip() for name, value in found.items() if _NAMED_LIKE_A_KEY.search(name) and value.strip()
-    )
+    named = (value.strip() for name, value in found.items() if _NAMED_LIKE_A_KEY.search(name))
+    return tuple(value for value in named if value and not value.isalpha() and not value.startswith("/"))
 
 
 def check_variable(name: str | None) -> str | None:

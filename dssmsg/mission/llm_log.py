@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from time import perf_counter
 from typing import Any
 
@@ -19,16 +20,23 @@ class LoggedLlm:
 
     A plug-in that tells its exchanges gets one event for each of them, all with the hash of the question; any
     other gets one an answer. Keys of the environment reach no event and no error, whatever the plug-in does.
-    `now` gives the frame index and sim time of the call.
+    `now` gives the frame index and sim time of the call. A call stands in `watching()`, so that the watchdog
+    counts its time for the llm: a plug-in that asks twenty questions in one frame does not hang.
     """
 
     def __init__(
-        self, llm: Llm, provider: str, tell: Callable[[Event], None], now: Callable[[], tuple[int, float]]
+        self,
+        llm: Llm,
+        provider: str,
+        tell: Callable[[Event], None],
+        now: Callable[[], tuple[int, float]],
+        watching: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self._llm = llm
         self._provider = provider
         self._tell = tell
         self._now = now
+        self._watching = watching
         self._redact = Redactor(environment_secrets())
         self._question = ("", "")
         """Role and hash of the question under way."""
@@ -42,7 +50,8 @@ class LoggedLlm:
         start, self._told = perf_counter(), 0
         self._question = (role, request_hash(role, messages, schema))
         try:
-            answer = checks.check_answer(self._llm.complete(role, messages, schema))
+            with self._watching():
+                answer = checks.check_answer(self._llm.complete(role, messages, schema))
             faults = schema_faults(answer.value, schema)
             if faults:
                 raise PluginError(f"the answer does not fit: {faults[0]}", plugin=f"llm/{self._provider}")

@@ -19,6 +19,7 @@ from dssmsg.interfaces import Association, Command, Perception, Update, UpdateRe
 from dssmsg.lift import Lifter
 from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.keyframes import KeyFrameSelector
+from dssmsg.mission.topology import TopologyKeeper
 
 
 @dataclass(slots=True)
@@ -61,7 +62,9 @@ class Pipeline:
         selector: KeyFrameSelector,
         guard: Guard,
         bus: ObserverBus,
+        keeper: TopologyKeeper,
     ) -> None:
+        self._keeper = keeper
         self._plugins = plugins
         self._graph = graph
         self._topology = topology
@@ -98,6 +101,9 @@ class Pipeline:
                 applied += self._graph.apply_all(changes, frame.index, frame.sim_time)
             detected, changes_of_map, windows = self._map(frame, plain, viewpoint_id)
             applied += changes_of_map
+        with self.stage("topology"):
+            changes = self._keeper.observe(plain, key=key, viewpoint_id=viewpoint_id)
+            applied += self._graph.apply_all(changes, frame.index, frame.sim_time)
         with self.stage("observers"):
             self._bus.tell(FrameCaptured(plain, command, key, viewpoint_id, collisions))
             if frame.truth is not None:

@@ -42,6 +42,7 @@ from dssmsg.mission.log_events import logged_as_events
 from dssmsg.mission.pipeline import Pipeline, Plugins
 from dssmsg.mission.seek import EpisodeLimits, Seeker
 from dssmsg.mission.survey import Surveyor
+from dssmsg.mission.topology import TopologyKeeper
 from dssmsg.navigation.drive import Driver
 
 _log = logging.getLogger("dssmsg.mission")
@@ -113,9 +114,7 @@ class Mission:
                 if kind == "encoder":
                     self._contexts.encoder = CheckedEncoder(built.plugin, built.registration.id)
                 elif kind == "llm":
-                    self._contexts.llm = LoggedLlm(
-                        built.plugin, built.registration.name, lambda event: self._bus.tell(event), self._now
-                    )
+                    self._contexts.llm = self._logged_llm(built)
             self._check_feature_space()
             built_observers = [
                 (name, self._build_slot("observer", slot, f"recording.observers.{name}").plugin)
@@ -183,6 +182,16 @@ class Mission:
         self._contexts.made[key] = built.registration
         return built
 
+    def _logged_llm(self, built: Built) -> LoggedLlm:
+        # The bus and the guard come to be after the plug-ins; nobody asks before.
+        return LoggedLlm(
+            built.plugin,
+            built.registration.name,
+            lambda event: self._bus.tell(event),
+            self._now,
+            lambda: self._guard.watching(built.registration.id, "complete"),
+        )
+
     def _check_feature_space(self) -> None:
         perceived = self._built["perception"].plugin.feature_space
         space = self._built["encoder"].plugin.space
@@ -216,6 +225,7 @@ class Mission:
             KeyFrameSelector(rule),
             self._guard,
             self._bus,
+            TopologyKeeper(self.graph, self._contexts.ids, self._info.depth_noise_m),
         )
 
     def _start_event(self) -> RunStarted:

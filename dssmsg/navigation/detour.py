@@ -26,9 +26,9 @@ class DetourOptions:
     """Further from things than radius + margin by this, a cell costs nothing extra."""
     unknown_cost: float = 3.0
     """How many times as dear a step over unseen floor is."""
-    stretch: float = 2.0
+    stretch: float = 1.5
     """The longest acceptable way round: so many times the straight one, and `extra` metres more."""
-    extra: float = 1.5
+    extra: float = 0.8
     reach: float = 2.7
     """No further ahead than this is the way rejoined: the grid ends at 3 m."""
     near_end: float = 0.6
@@ -91,10 +91,10 @@ def step_costs(grid: RollingGrid, start: Point, options: DetourOptions) -> Float
         index: IntArray = np.indices(clearance.shape, dtype=np.int32)
         away = np.hypot(index[0] - here[0], index[1] - here[1]) * grid.options.cell
         need[away <= 0.3] = min(o.radius + o.margin, float(clearance[here]))
+        need[grid.occupied] = np.inf
     tight = np.clip((o.radius + o.margin + o.comfort - clearance) / o.comfort, 0.0, 1.0)
     cost: FloatArray = np.where(grid.known_free, 1.0, o.unknown_cost) * (1.0 + 3.0 * tight)
     cost[clearance < need - 1e-9] = np.inf
-    cost[grid.occupied] = np.inf
     if here is not None:
         cost[here] = 1.0
     return cost

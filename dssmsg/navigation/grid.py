@@ -37,6 +37,8 @@ class GridOptions:
     """Where the robot itself stands is free, this far around its axis."""
     noise: tuple[float, float] = (0.001, 0.002)
     """(a, b) of the sensor's depth noise a + b z^2: floor pixels must not become obstacles."""
+    body: float = 0.2
+    """Unseen floor this close to something occupied counts as part of it where a way is looked for."""
     min_pixels: int = 3
     """Fewer pixels of a frame in a cell are taken as noise."""
     sure_pixels: int = 12
@@ -116,15 +118,22 @@ class RollingGrid:
 
     @property
     def clearance(self) -> FloatArray:
-        """(n, n) metres from each cell's middle to the nearest occupied cell's edge (inf if none is)."""
+        """(n, n) metres from each cell's middle to the nearest cell not to be touched (inf if none is).
+
+        Those are the occupied ones and unseen ones close to them: a camera sees the face of a thing, and
+        what lies behind it belongs to the thing.
+        """
         if self._clearance is None:
-            occupied = self.occupied
-            if occupied.any():
-                cells: FloatArray = ndimage.distance_transform_edt(~occupied)
-                self._clearance = np.maximum(cells - 0.5, 0.0) * self.options.cell
-            else:
-                self._clearance = np.full(occupied.shape, np.inf)
+            near = self._distance(self.occupied) <= self.options.body
+            self._clearance = self._distance(self.occupied | (near & ~self._free))
         return self._clearance
+
+    def _distance(self, cells: MaskArray) -> FloatArray:
+        """(n, n) metres from each cell's middle to the nearest of `cells`."""
+        if not cells.any():
+            return np.full(cells.shape, np.inf)
+        steps: FloatArray = ndimage.distance_transform_edt(~cells)
+        return np.maximum(steps - 0.5, 0.0) * self.options.cell
 
     def cell(self, point: Point) -> Cell | None:
         """The cell of a place, None outside of the plan."""
@@ -174,7 +183,7 @@ class RollingGrid:
         within = (row >= 0) & (row < n) & (column >= 0) & (column < n)
         # Along a ray the reading errs by sigma, so in height by sigma times the ray's fall.
         slack = 3.0 * depth_sigma(depth[pixels], o.noise) * np.abs(rays[:, 2])
-        flat, height = row * n + column, points[:, 2]
+        flat, height = row * n + column, points[:, 2] - float(frame.world_from_base[2, 3])
         standing = within & (height > o.low + slack) & (height < o.high)
         floor = within & (height <= o.low + slack) & (height > -0.1 - slack)
         hits = np.bincount(flat[standing], minlength=n * n).reshape(n, n)
@@ -196,7 +205,8 @@ class RollingGrid:
             return
         assert self._corner is not None
         middle = (cells + np.array(self._corner) + 0.5) * self.options.cell
-        places = np.column_stack([middle, self._height[cells[:, 0], cells[:, 1]]])
+        floor = float(frame.world_from_base[2, 3])
+        places = np.column_stack([middle, floor + self._height[cells[:, 0], cells[:, 1]]])
         sight = sight_of_points(
             places, frame.depth, frame.camera, frame.world_from_camera, 0.15, self.options.max_range
         )

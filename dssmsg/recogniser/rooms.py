@@ -21,11 +21,11 @@ from dssmsg.sim.solid import Solid, clearance, overlap_depth
 WALL_HEIGHT_M = 2.6
 CAMERA_HEIGHT_M = 0.88
 TILTS_DEG = (0.0, -20.0, -25.0)
-_SUPPORTS = frozenset(
+SUPPORTS = frozenset(
     {"table", "desk", "coffee table", "dresser", "nightstand", "kitchen cabinet", "cabinet", "kitchen island",
      "tv stand", "shelf", "bench", "dressing table", "washing machine", "tumble dryer", "piano", "radiator"}
 )  # fmt: skip
-_SOFT = frozenset({"bed", "sofa", "corner sofa", "armchair"})
+SOFT = frozenset({"bed", "sofa", "corner sofa", "armchair"})
 _SOFT_THINGS = frozenset(
     {"cushion", "teddy bear", "book", "clothes", "handbag", "cat", "tablet", "newspaper"}
 )
@@ -33,8 +33,8 @@ _ON_TOP = frozenset(
     {"tv", "monitor", "computer", "printer", "microwave", "toaster", "coffee maker", "kettle", "stereo",
      "radio", "speaker", "fan", "lamp", "aquarium", "mixer", "keyboard", "cooker"}
 )  # fmt: skip
-_WALL_HUNG_FROM_M = 0.3
-_SMALL_M = 0.62
+WALL_HUNG_FROM_M = 0.3
+SMALL_M = 0.62
 _TRIES = 25
 _FAVOUR = 0.75
 """Share of the draws that go to labels with held-out models, where these are favoured."""
@@ -67,7 +67,7 @@ def arrange_room(
 
     `clutter` puts several times as many small things around.
     """
-    return _Arranger(shelf, rng, held_out, clutter).room()
+    return Arranger(shelf, rng, held_out=held_out, clutter=clutter).room()
 
 
 def camera_poses(room: ArrangedRoom, rng: np.random.Generator, count: int) -> list[FloatArray]:
@@ -100,8 +100,12 @@ def look(x: float, y: float, z: float, heading: float, tilt: float) -> FloatArra
     return pose
 
 
-class _Arranger:
-    def __init__(self, shelf: Shelf, rng: np.random.Generator, held_out: bool, clutter: bool) -> None:
+class Arranger:
+    """Places one model after the other; `_fixed` are solids that are no things, such as a home's walls."""
+
+    def __init__(
+        self, shelf: Shelf, rng: np.random.Generator, *, held_out: bool = False, clutter: bool = False
+    ) -> None:
         self._shelf = shelf
         self._rng = rng
         self._held_out = held_out
@@ -113,8 +117,10 @@ class _Arranger:
         self._size = (float(rng.uniform(2.2, 6.0)), float(rng.uniform(2.2, 5.0)))
         self._things: list[Thing] = []
         self._solids: list[Solid] = []
+        self._fixed: list[Solid] = []
 
     def room(self) -> ArrangedRoom:
+        """A room of random size, filled."""
         area = self._size[0] * self._size[1]
         standing = [name for name in self._by_label if self._kind(name) == "stand"]
         hanging = [name for name in self._by_label if self._kind(name) == "hang"]
@@ -128,12 +134,12 @@ class _Arranger:
         supports = [
             (thing, solid)
             for thing, solid in zip(self._things, self._solids, strict=True)
-            if thing.model.label in _SUPPORTS | _SOFT
+            if thing.model.label in SUPPORTS | SOFT
         ]
         for thing, solid in supports:
             most = 4 if solid.half[0] > 0.35 else 2
             for _ in range(int(self._rng.integers(0, most)) + 3 * self._clutter):
-                soft = thing.model.label in _SOFT
+                soft = thing.model.label in SOFT
                 self._put_on(
                     thing, solid, self._draw([n for n in small if (n in _SOFT_THINGS) == soft] or small)
                 )
@@ -146,9 +152,9 @@ class _Arranger:
         model = self._by_label[label][0]
         if label in ("rug", "doormat"):
             return "lay"
-        if label in _ON_TOP or (max(model.size) <= _SMALL_M and model.elevation < _WALL_HUNG_FROM_M):
+        if label in _ON_TOP or (max(model.size) <= SMALL_M and model.elevation < WALL_HUNG_FROM_M):
             return "small" if label not in ("stool", "trash can", "pouf") else "stand"
-        return "hang" if model.elevation >= _WALL_HUNG_FROM_M else "stand"
+        return "hang" if model.elevation >= WALL_HUNG_FROM_M else "stand"
 
     def _draw(self, labels: Sequence[str]) -> ShelfModel:
         """A label at random, then a model of it: scenes' default ones, or held-out ones, more often."""
@@ -232,7 +238,8 @@ class _Arranger:
             x, y, yaw = self._free(mesh)
             self._add(model, mesh, x, y, 0.0, yaw, air=0.02)
 
-    def _put_on(self, support: Thing, solid: Solid, model: ShelfModel) -> None:
+    def _put_on(self, support: Thing, solid: Solid, model: ShelfModel, *, highest: float = 1.4) -> None:
+        """A small thing on a support, where its surface is lower than `highest` metres."""
         mesh = self._stretched(model)
         if mesh is None:
             return
@@ -246,7 +253,7 @@ class _Arranger:
             x = solid.center[0] + cos * local[0] - sin * local[1]
             y = solid.center[1] + sin * local[0] + cos * local[1]
             top = surface_height(support.instance, (x, y))
-            if top is None or not 0.2 < top < 1.4:
+            if top is None or not 0.2 < top < highest:
                 continue
             yaw = solid.yaw_rad + float(self._rng.normal(0, 0.4))
             if self._add(model, mesh, x, y, top, yaw, air=0.0, beside=support):
@@ -304,6 +311,7 @@ class _Arranger:
         ):
             return False
         others = [s for t, s in zip(self._things, self._solids, strict=True) if t is not beside]
+        others += self._fixed
         if air is not None and any(
             overlap_depth(solid, other) > -air for other in others if other.half[2] > 0.02
         ):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dssmsg.frame import Camera, FloatArray, Frame, IntArray
+from dssmsg.recogniser.lived import lived_in_home, lived_in_room, near_poses
 from dssmsg.recogniser.rooms import CAMERA_HEIGHT_M, TILTS_DEG, arrange_room, camera_poses, look
 from dssmsg.recogniser.shelf import Shelf
 from dssmsg.sim.camera import Instance, Renderer, make_renderer
@@ -46,6 +47,22 @@ def room_views(
     renderer.set_static([Instance(0, room.shell, np.eye(4)), *(thing.instance for thing in room.things)])
     things = {thing.instance.instance_id: (thing.model.label, thing.model.model) for thing in room.things}
     yield from _views(renderer, camera_poses(room, rng, 3 * count), things, rng, count)
+    renderer.close()
+
+
+def lived_in_views(
+    shelf: Shelf, seed: int, count: int, library: FurnitureLibrary | None = None
+) -> Iterator[View]:
+    """Up to `count` views of a room full of small things, or of such a home where a library is given; two
+    of three look at one of them from near by."""
+    rng = np.random.default_rng([seed, 3])
+    room = lived_in_room(shelf, rng) if library is None else lived_in_home(shelf, library, rng, seed)
+    renderer, _ = make_renderer("auto")
+    renderer.set_static([Instance(0, room.shell, np.eye(4)), *(thing.instance for thing in room.things)])
+    things = {thing.instance.instance_id: (thing.model.label, thing.model.model) for thing in room.things}
+    near = count * 2 // 3
+    yield from _views(renderer, near_poses(room, rng, 3 * near), things, rng, near)
+    yield from _views(renderer, camera_poses(room, rng, 3 * (count - near)), things, rng, count - near)
     renderer.close()
 
 

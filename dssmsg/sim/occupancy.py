@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import ndimage
 
 from dssmsg.frame import FloatArray
 from dssmsg.sim.scene import Scene
@@ -101,6 +102,12 @@ class Occupancy:
         if any(self.leg_clearance(a, b) <= radius for a, b in itertools.pairwise(smooth)):
             return None
         return tuple(smooth)
+
+    def connected(self, points: Sequence[Point], radius: float = ROBOT_RADIUS) -> bool:
+        """Whether a robot of `radius` gets from each of the points to every other, on the grid."""
+        islands, _ = ndimage.label(self._room > radius)
+        found = {int(islands[self._cell(point)]) for point in points}
+        return len(found) <= 1 and 0 not in found
 
     def _cell(self, point: Point) -> tuple[int, int]:
         cell = np.floor((np.asarray(point) - self._origin) / CELL).astype(int)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dssmsg.frame import Camera, FloatArray
+from dssmsg.frame import Camera, Float32Array, FloatArray
 from dssmsg.interfaces.source import Stop
 from dssmsg.sim.camera import Instance, Renderer
 from dssmsg.sim.mesh import Mesh
@@ -40,7 +40,7 @@ class Ghosts:
         world_from_object: FloatArray,
         camera: Camera,
         world_from_camera: FloatArray,
-        depth: FloatArray,
+        depth: FloatArray | Float32Array,
         range_m: float = SEEN_RANGE_M,
     ) -> int:
         """Pixels of the mesh at a pose (4, 4) that nothing in `depth` (H, W; metres, 0 = no reading) hides.
@@ -74,11 +74,11 @@ class Shot:
 
 
 class TourViews:
-    """Takes the views of tours in one home, at half the camera's size."""
+    """Takes the views of tours in one home, at half the camera's size, with two renderers of its own."""
 
-    def __init__(self, renderer: Renderer, ghosts: Ghosts, robot: RobotSpec | None = None) -> None:
+    def __init__(self, renderer: Renderer, second: Renderer, robot: RobotSpec | None = None) -> None:
         self._renderer = renderer
-        self._ghosts = ghosts
+        self._ghosts = Ghosts(second)
         self._robot = robot or RobotSpec()
         self._camera = Camera.from_fov(FULL_WIDTH // HALF, FULL_HEIGHT // HALF, HORIZONTAL_FOV_RAD)
 
@@ -110,6 +110,11 @@ class TourViews:
             self._ghosts.pixels(mesh, pose, self._camera, shot.world_from_camera, shot.depth) >= NEED
             for shot in shots
         )
+
+    def close(self) -> None:
+        """Release both renderers."""
+        self._renderer.close()
+        self._ghosts.close()
 
 
 def _in_view(

@@ -227,6 +227,22 @@ class LightChange(_Change):
 Change = Annotated[Appear | Disappear | Relocate | DoorChange | LightChange, Field(discriminator="kind")]
 
 
+class Obstacle(_Part):
+    """A piece that appears ahead of the robot when it drives towards the piece's place."""
+
+    piece: Piece = Field(description="the piece and its place, floor only")
+    within: float = Field(
+        default=2.5, ge=1.6, le=6.0, description="appears when the robot is this near, metres (not below 1.5)"
+    )
+    from_visit: int = Field(default=0, ge=0, description="the first visit in which it may appear")
+
+    @model_validator(mode="after")
+    def _on_the_floor(self) -> Obstacle:
+        if self.piece.on is not None:
+            raise ValueError("an obstacle stands on the floor: give `at` or `wall` with `along`, not `on`")
+        return self
+
+
 class Query(_Part):
     """A sentence with the pieces that answer it."""
 
@@ -247,6 +263,7 @@ class Scene(_Part):
     tour: tuple[TourStop, ...] = Field(default=(), description="the survey, in driving order")
     changes: tuple[Change, ...] = ()
     queries: tuple[Query, ...] = ()
+    obstacles: tuple[Obstacle, ...] = Field(default=(), description="what appears ahead of the robot")
 
     @model_validator(mode="after")
     def _references(self) -> Scene:
@@ -288,6 +305,8 @@ class Scene(_Part):
         for change in self.changes:
             if isinstance(change, Appear):
                 yield change.piece
+        for obstacle in self.obstacles:
+            yield obstacle.piece
 
     def room(self, name: str) -> Room:
         """The room of that name (KeyError if there is none)."""

@@ -11,6 +11,7 @@ from dssmsg.frame import Camera, FloatArray, Truth
 from dssmsg.interfaces.source import Command
 from dssmsg.sim.camera import Instance, Render, Renderer
 from dssmsg.sim.furniture import FurnitureLibrary
+from dssmsg.sim.obstacles import Obstacles
 from dssmsg.sim.occupancy import blocks
 from dssmsg.sim.physics import PHYSICS_HZ, Physics
 from dssmsg.sim.robot import ACTION_STEPS, Robot, RobotSpec
@@ -46,6 +47,7 @@ class World:
         self.visit = -1
         self.collisions = 0
         self._script = Script(scene, enabled=scripted)
+        self._obstacles = Obstacles(scene, self.placer, self.layout.solids)
         self._visit_began = 0.0
         self._light = 1.0
         self._closed: set[str] = set()
@@ -56,7 +58,7 @@ class World:
             self._add_body(piece)
         self.robot = Robot(self._physics, robot or RobotSpec())
         # What the script touches goes into the renderer's small scene, so that a change costs little.
-        self.changing = self._script.touches()
+        self.changing = self._script.touches() | self._obstacles.names()
         self._show_fixed()
         self._show_loose()
 
@@ -76,6 +78,7 @@ class World:
             self.sim_time += steps / PHYSICS_HZ
             position = (self.robot.x, self.robot.y)
             self.make(self._script.during(self.visit, self.sim_time - self._visit_began, position))
+            self.make(self._obstacles.due(self.visit, (*position, self.robot.heading)))
 
     def make(self, changes: Iterable[Change]) -> None:
         """Carry out changes now, in order."""

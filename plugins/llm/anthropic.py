@@ -71,7 +71,8 @@ class AnthropicLlm(RemoteLlm):
             request["output_config"] = {"format": {"type": "json_schema", "schema": strict}}
         else:
             system.append(schema_words(schema))
-        request["system"] = "\n\n".join(system)
+        if system:
+            request["system"] = "\n\n".join(system)
         request["messages"] = [
             {"role": one.role, "content": one.content} for one in messages if one.role != "system"
         ]

@@ -12,13 +12,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from dssmsg.frame import Frame
 from dssmsg.graph.changes import Cause, EdgeChanged, Score
+from dssmsg.graph.nodes import Edge
 from dssmsg.graph.paths import edge_key, nearest_waypoints, shortest_path
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.navigation import Step
@@ -39,7 +40,11 @@ _FIRST_WAYPOINTS = 5
 """So many of the waypoints around the robot are tried as the first one."""
 _INSPECT_RAD = math.radians(7.0)
 _INSPECT_TILT_RAD = math.radians(-12.0)
-_MAX_DETOURS = 6
+_FIRST_M = 3.0
+"""Further off than this only the very nearest is."""
+_LAST_RESORT_M = 20.0
+"""A way round may be this much longer than the straight one where no other edge leads to the goal."""
+_MAX_DETOURS = 4
 """More detours than this on the way to one waypoint lead nowhere."""
 
 
@@ -80,7 +85,8 @@ class _Drive:
     """Where a drive stands. `path`: waypoints still to visit; `behind`: the one left last.
 
     `corners`: what is left of a detour, which leads to the way's point `leg`; `unreachable`: waypoints that
-    could not be got to from where the robot stood without an edge to blame.
+    could not be got to from where the robot stood without an edge to blame; `avoided`: what the detour leads
+    round; `found`: what is being looked at before its edge is given up.
     """
 
     goals: tuple[str, ...] = ()
@@ -93,6 +99,7 @@ class _Drive:
     corners: tuple[Point, ...] = ()
     leg: int = 0
     unreachable: set[str] = field(default_factory=set)
+    avoided: _Obstacle | None = None
     found: _Obstacle | None = None
     inspecting: Gazes | None = None
     gazes: Gazes | None = None
@@ -130,6 +137,7 @@ class Dijkstra:
             GridOptions(low=low, high=high, min_pixels=config.obstacle_points, noise=noise)
         )
         self._round = DetourOptions(radius=config.robot_radius)
+        self._far_round = replace(self._round, extra=_LAST_RESORT_M)
         self._seen: tuple[int, int] | None = None
         self._now = _Drive()
 
@@ -172,7 +180,8 @@ class Dijkstra:
         else:
             now.behind = None
             near = nearest_waypoints(self._graph, x, y, _FIRST_WAYPOINTS + len(now.unreachable))
-            starts = tuple(name for name in near if name not in now.unreachable)
+            free = [name for name in near if name not in now.unreachable]
+            starts = tuple(n for n in free if n == free[0] or math.dist((x, y), self._xy(n)) <= _FIRST_M)
         for goal in now.goals:
             viewpoint = self._graph.viewpoints.get(goal)
             if viewpoint is None:
@@ -200,10 +209,13 @@ class Dijkstra:
         now, tilt = self._now, math.radians(self._config.drive_tilt_deg)
         while now.path:
             here, way = floor_place(frame), [self._xy(name) for name in now.path]
-            if self._first_obstacle(here, [*now.corners, *way[now.leg :]]) is not None:
+            found = self._first_obstacle(here, [*now.corners, *way[now.leg :]])
+            if found is not None:
+                if not now.corners:
+                    now.avoided = found
                 detour = None
                 if self._config.detour and now.detours < _MAX_DETOURS:
-                    detour = find_detour(self._grid, here, way, self._round)
+                    detour = find_detour(self._grid, here, way, self._detour_options())
                 if detour is None:
                     now.corners, now.leg = (), 0
                     return self._blocked(frame, here, way)
@@ -219,6 +231,22 @@ class Dijkstra:
             self._advance()
         return None
 
+    def _detour_options(self) -> DetourOptions:
+        """How far round: far only where no other edges lead to the goal."""
+        now = self._now
+        if now.avoided is None or (ends := self._edge_ends(now.avoided.leg)) is None:
+            return self._far_round
+        way = shortest_path(self._graph, ends[0], now.path[-1], without=edge_key(*ends))
+        return self._far_round if way is None else self._round
+
+    def _edge_ends(self, leg: int) -> tuple[str, str] | None:
+        """The waypoints between which the leg of that number leads; None for the way to the first one."""
+        now = self._now
+        ends = [now.behind, *now.path][leg : leg + 2]
+        if len(ends) < 2 or ends[0] is None or ends[1] is None:
+            return None
+        return (ends[0], ends[1]) if edge_key(ends[0], ends[1]) in self._graph.edges else None
+
     def _advance(self) -> None:
         """A point of the way, or a corner of a detour, was reached."""
         now, passed = self._now, 1
@@ -228,7 +256,8 @@ class Dijkstra:
                 return
             passed, now.leg = now.leg, 0
         if passed:
-            now.behind, now.path, now.detours = now.path[passed - 1], now.path[passed:], 0
+            now.behind, now.path = now.path[passed - 1], now.path[passed:]
+            now.detours, now.avoided = 0, None
 
     def _first_obstacle(self, here: Point, points: Sequence[Point]) -> _Obstacle | None:
         """The first thing in the corridor within range."""
@@ -248,8 +277,9 @@ class Dijkstra:
     def _blocked(self, frame: Frame, here: Point, way: Sequence[Point]) -> Step:
         """No way round: look at what stands there, then give the edge up."""
         now = self._now
-        now.found = self._first_obstacle(here, way)
-        if now.found is None:  # what was in the way stood on the detour, not on the edge itself
+        # Where only the detour is closed, what it should have led round is still there.
+        now.found = self._first_obstacle(here, way) or now.avoided
+        if now.found is None:
             return Step(self._stop(frame), "replan", now.path, detail="a detour was closed", goal=now.goal)
         x, y = now.found.place
         bearing = math.atan2(y - here[1], x - here[0])
@@ -271,14 +301,13 @@ class Dijkstra:
     def _give_up_edge(self, frame: Frame, found: _Obstacle, detail: str, at_stop: bool) -> Step:
         """Block the edge under an obstacle, and plan anew from the waypoint left last."""
         now = self._now
+        ends = self._edge_ends(found.leg)
         path, now.path, now.planned, now.replans = now.path, (), False, now.replans + 1
+        now.avoided = None
         if now.replans > self._config.max_replans:
             ending = f"{detail}; planned anew {self._config.max_replans} times"
             return self._end(frame, "blocked", ending, at_stop=at_stop)
-        ends = [now.behind, *path][found.leg : found.leg + 2]
-        edge = None
-        if len(ends) == 2 and ends[0] is not None and ends[1] is not None:
-            edge = self._graph.edges.get(edge_key(ends[0], ends[1]))
+        edge = None if ends is None else self._graph.edges[edge_key(*ends)]
         if edge is None:
             now.unreachable.add(path[0])
             now.behind = None
@@ -294,9 +323,16 @@ class Dijkstra:
             edge=edge.kind,
             source=edge.source,
             target=edge.target,
-            attributes={"blocked": True, "obstacle": [round(value, 3) for value in found.place]},
+            attributes={"blocked": True, "obstacle": self._place_on(edge, found.place)},
         )
         return Step(self._stop(frame), "replan", (), (change,), detail=detail, at_stop=at_stop)
+
+    def _place_on(self, edge: Edge, place: Point) -> list[float]:
+        """Where (x, y) the edge itself is blocked, as far as the grid shows it; else `place`."""
+        corridor = self._grid.corridor(
+            self._xy(edge.source), self._xy(edge.target), self._config.obstacle_width
+        )
+        return [round(value, 3) for value in corridor.obstacle or place]
 
     # -- arriving -----------------------------------------------------------------------------------------
 

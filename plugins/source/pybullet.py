@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from dssmsg.frame import Camera, Frame
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.source import Command, SourceInfo
+from dssmsg.sim.scene import Obstacle
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
+ChangeKind = Literal["appear", "disappear", "near", "far", "swap", "put_back", "occluder", "door", "light"]
 HORIZONTAL_FOV_RAD = math.radians(69.4)  # RealSense D435, colour
 
 
@@ -45,10 +47,19 @@ class Config(PluginConfig):
         description="camera ahead of the axis, metres (0.047 on the real LoCoBot)",
     )
     rate_hz: float = Field(default=5.0, ge=1.0, le=30.0, description="camera frames a second of sim time")
-    changes: Literal["script", "none"] = Field(
-        default="script", description="whether the scene's scripted changes happen"
+    changes: str = Field(
+        default="script",
+        pattern=r"^(script|none|generated:[0-9]{1,9})$",
+        description="script: the scene's own; none; or generated:<seed> instead of its own",
+    )
+    change_counts: dict[ChangeKind, Annotated[int, Field(ge=0, le=20)]] = Field(
+        default={"appear": 2, "disappear": 2, "near": 2, "far": 2},
+        description="generated changes: how many of each kind before each visit but the first",
     )
     visits: int = Field(default=2, ge=1, le=20, description="passes through the scene")
+    obstacles: tuple[Obstacle, ...] = Field(
+        default=(), max_length=50, description="pieces that appear ahead of the robot on its way"
+    )
 
 
 class SimulatedSource:
@@ -56,19 +67,28 @@ class SimulatedSource:
 
     def __init__(self, config: Config, context: Context) -> None:
         from dssmsg.sim.camera import make_renderer
-        from dssmsg.sim.furniture import FurnitureLibrary
         from dssmsg.sim.noise import make_noise
+        from dssmsg.sim.obstacles import with_obstacles
         from dssmsg.sim.robot import RobotSpec
-        from dssmsg.sim.scene import load_scene
+        from dssmsg.sim.scenario_source import scripted_scene
         from dssmsg.sim.tour import check_tour, tour_of
         from dssmsg.sim.world import World
 
-        scene = load_scene(config.scene, base_dir=context.base_dir)
-        library = FurnitureLibrary.open(config.assets)
+        scripted = scripted_scene(
+            config.scene,
+            assets=config.assets,
+            changes=config.changes,
+            counts={str(kind): count for kind, count in config.change_counts.items()},
+            visits=config.visits,
+            renderer=config.renderer,
+            base_dir=context.base_dir,
+        )
+        library = scripted.library
+        scene = with_obstacles(scripted.scene, config.obstacles, library)
         self._noise = make_noise(config.noise)
         renderer, renderer_note = make_renderer(config.renderer)
         spec = RobotSpec(camera_height=config.camera_height, camera_forward=config.camera_forward)
-        self._world = World(scene, library, renderer, robot=spec, scripted=config.changes == "script")
+        self._world = World(scene, library, renderer, robot=spec, scripted=config.changes != "none")
         try:
             check_tour(scene, self._world.layout, self._world.placer, config.visits)
         except Exception:
@@ -95,7 +115,8 @@ class SimulatedSource:
                 "pieces": len(scene.furniture),
                 "furniture": library.note,
                 "renderer": renderer_note,
-                "changes": len(scene.changes) if config.changes == "script" else 0,
+                "changes": len(scene.changes) if config.changes != "none" else 0,
+                "scenario": scripted.note,
             },
         )
         self._put_at_start()

@@ -104,6 +104,8 @@ class DssmUpdate:
         """Objects that came after the baseline and are undecided: id -> observations at the last test."""
         self._arrived: dict[str, bool] = {}
         """Objects that may be things moved here: id -> whether the place was shown free before."""
+        self._shown_free: dict[str, tuple[int, ...]] = {}
+        """The frames that spoke for an appearance of this key frame."""
         self._not_it: set[tuple[str, str]] = set()
         """Pairs (vanished, new) that colours have told apart."""
 
@@ -289,6 +291,7 @@ class DssmUpdate:
             if self._arrived[object_id]:
                 del self._new[object_id]
                 verdicts[object_id] = APPEARED
+                self._shown_free[object_id] = tuple(free)
                 scores = transitions.frame_scores(free, self._config.k)
                 changes.append(transitions.appeared(object_id, Cause(PLUGIN, "appeared"), scores))
         return changes
@@ -425,6 +428,9 @@ class DssmUpdate:
             for remembered in window[:-1]
             if object_id in remembered.verdicts
         ]
+        for object_id, verdict in verdicts.items():
+            if verdict == APPEARED:  # the frames that showed its place without it
+                earlier += [Evidence(f, object_id, MISSED) for f in self._shown_free.pop(object_id, ())]
         return WindowEvaluated(
             viewpoint_id=viewpoint_id,
             frame=frame.index,

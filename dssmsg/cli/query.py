@@ -1,0 +1,143 @@
+"""`dssmsg query`: ground a sentence in a recorded graph, now or at a past time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from dssmsg.config import RunConfig
+    from dssmsg.interfaces import Grounding, Llm, TargetGraph
+    from dssmsg.recording.reader import Recording
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+
+    @app.command()
+    def query(
+        words: Annotated[
+            list[str], typer.Argument(metavar="[REC] TEXT", help="A recording, else the newest; a sentence.")
+        ],
+        at: Annotated[
+            str | None,
+            typer.Option("--at", metavar="TIME", help="frame=120, time=24.5 or update=300; else the end."),
+        ] = None,
+        top: Annotated[int, typer.Option(min=1, max=1000, help="Candidates to print.")] = 5,
+        config: Annotated[
+            Path | None,
+            typer.Option(
+                "--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."
+            ),
+        ] = None,
+        sets: Annotated[
+            list[str] | None,
+            typer.Option("--set", metavar="KEY=VALUE", help="Set one value, like grounding.use=objects."),
+        ] = None,
+        as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")] = False,
+    ) -> None:
+        """Say from where in a recorded map a sentence is answered, and why.
+
+        Encoder, language model and grounding are those of the configuration, whatever the run had.
+        """
+        show_query(words, at, top, config, sets or (), as_json=as_json)
+
+
+def show_query(
+    words: Sequence[str],
+    at: str | None,
+    top: int,
+    config: Path | None,
+    sets: Sequence[str],
+    *,
+    as_json: bool,
+) -> None:
+    """Print the answer to a sentence.
+
+    Raises InputError for the recording, ConfigError for the time or the configuration, PluginError where the
+    language model has no target graph to give.
+    """
+    from dssmsg.cli.output import print_json, stdout_to_stderr
+    from dssmsg.cli.recordings import chosen, moment, warn_of_cuts
+
+    if len(words) > 2:
+        raise typer.BadParameter("expected a recording and one sentence; put the sentence in quotes")
+    path = chosen(Path(words[0]) if len(words) == 2 else None)
+    with stdout_to_stderr():
+        from dssmsg import checks
+        from dssmsg.config import load_config
+        from dssmsg.mission.goal import target_graph_json
+        from dssmsg.recording.reader import Recording
+        from dssmsg.review.query import query_json, query_text
+
+        resolved = load_config(config, sets=sets)
+        with Recording.open(path) as opened:
+            frame, update = moment(opened, at)
+            warn_of_cuts(opened)
+            graph = opened.graph_at(frame, update=update)
+            llm, grounding = _plugins(resolved, opened, graph)
+            target = _target(llm, words[-1], resolved)
+            candidates = checks.check_candidates(graph, grounding.ground(target))
+        answer = query_json(
+            words[-1],
+            str(path),
+            {"frame": frame, "update": update},
+            target_graph_json(target),
+            candidates,
+            graph,
+        )
+    if as_json:
+        print_json(answer)
+    else:
+        print(query_text(answer, top))
+
+
+def _plugins(config: RunConfig, recording: Recording, graph: Any) -> tuple[Llm, Grounding]:
+    """The language model and the grounding of a configuration, over a recorded graph."""
+    from dssmsg.cli.output import note
+    from dssmsg.contexts import ContextFactory
+    from dssmsg.graph.ids import IdAllocator
+    from dssmsg.graph.read_only import ReadOnlyGraph
+    from dssmsg.host import Host
+    from dssmsg.interfaces import SourceInfo
+
+    camera = recording.camera()
+    info = None if camera is None else SourceInfo("recording", camera, drivable=False, has_truth=False)
+    with config.naming_files():
+        host = Host.load(config.plugins, config.base_dir)
+        contexts = ContextFactory(
+            host,
+            config.seed,
+            ReadOnlyGraph(graph),
+            IdAllocator(),
+            config.base_dir,
+            Path(),
+            "query",
+            source=info,
+        )
+
+        def build(kind: str) -> Any:
+            slot = getattr(config, kind)
+            return host.build(kind, slot, contexts, base_dir=config.base_dir, key=kind).plugin
+
+        encoder = contexts.encoder = build("encoder")
+        contexts.llm = build("llm")
+        known = recording.facts["feature_space"]
+        if known is not None and known != encoder.space:
+            note(f"the map's features live in {known}, the encoder's in {encoder.space}: labels are compared")
+        return contexts.llm, build("grounding")
+
+
+def _target(llm: Llm, sentence: str, config: RunConfig) -> TargetGraph:
+    """The target graph of a sentence. Raises PluginError naming the language model where it gives none."""
+    from dssmsg.errors import PluginError
+    from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
+
+    answer = llm.complete("target_graph", target_graph_request(sentence), TARGET_GRAPH_SCHEMA)
+    try:
+        return parse_target_graph(sentence, answer.value)
+    except ValueError as error:
+        raise PluginError(str(error), plugin=f"llm/{config.llm.use}") from error

@@ -1,0 +1,224 @@
+"""A sentence as a target graph: what it names, and what serves what it only hints at (paper III-C).
+
+Things that the sentence names make an explicit target. Where it only says what somebody wants to do, the
+need's core and its company make an implicit one; a thing named for that purpose ("sit on the sofa") is the
+core. A room is told by what stands in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from dssmsg.lexicon.chunks import Chunker
+from dssmsg.lexicon.draft import Draft
+from dssmsg.lexicon.needs import Fit, Needs
+from dssmsg.lexicon.reading import MAX_ATTRIBUTES, OPEN, Reader, Reading, Thing, is_denied
+from dssmsg.lexicon.tables import Need, Tables
+from dssmsg.lexicon.terms import openings, vocabulary
+from dssmsg.lexicon.words import stem, tokens
+
+if TYPE_CHECKING:
+    from dssmsg.interfaces import Encoder
+
+FORMERLY = "formerly"
+"""The attribute of a core that is asked for as it was: "where was the mug before?"."""
+LANDMARKS_BESIDE = 2
+"""How many landmarks of a room are looked for beside a thing that is in it."""
+_AT = frozenset({"on", "in", "near", "next to"})
+_STATES = frozenset(
+    {"is", "are", "must", "should", "need", "needs", "have", "has", "am", "want", "wants", "be"}
+)
+
+
+class NoTarget(ValueError):
+    """A sentence that names no thing, no purpose and no room that is known."""
+
+
+class Targets:
+    """Turns sentences into target graphs as JSON values (`dssmsg.mission.goal.TARGET_GRAPH_SCHEMA`)."""
+
+    def __init__(self, tables: Tables, encoder: Encoder | None = None) -> None:
+        self._tables = tables
+        self._phrases = vocabulary(tables)
+        self._openings = openings(tables)
+        self._past = [tokens(phrase) for phrase in tables.past]
+        self._needs = Needs(tables, encoder)
+
+    def of(self, sentence: str) -> dict[str, Any]:
+        """The target graph of a sentence. Raises NoTarget where it says nothing that is known."""
+        words = tokens(sentence)
+        past, words = self._split_past(words)
+        rest, asked, wanted = self._open(words)
+        if not rest:
+            raise NoTarget(f"no object, purpose or room in {sentence!r:.80}")
+        fit = self._needs.by_wording(rest)
+        wanted = wanted or self._says_a_need(rest, fit, asked)
+        chunks = Chunker(self._phrases, rest, noun_due=asked, verb_due=wanted).chunks()
+        reading = Reader(wanted=wanted).read(chunks)
+        graph = None
+        if reading.things and not reading.open:
+            graph = self._named(reading)
+        elif not reading.things and reading.rooms:
+            graph = self._for_room(Reading([Thing(OPEN)], rooms=reading.rooms))
+        if fit is not None and reading.things and not any(thing.known for thing in reading.things):
+            graph = None  # "I need a nap"
+        if graph is None:
+            graph = self._serving(reading, fit, sentence, rest)
+        if past:
+            attributes = graph["nodes"][graph["core"]]["attributes"]
+            graph["nodes"][graph["core"]]["attributes"] = [FORMERLY, *attributes][:MAX_ATTRIBUTES]
+        return graph
+
+    # Openings
+
+    def _open(self, words: Sequence[str]) -> tuple[tuple[str, ...], bool, bool]:
+        """The words after what only asks; whether a thing is asked for by name; whether a wish is told."""
+        place, asked = 0, False
+        while place < len(words):
+            if words[place] in (",", ";"):
+                place += 1
+                continue
+            term = self._openings.at(words, place)
+            if term is None:
+                break
+            place += len(term.words)
+            if "wants" in term.kinds:
+                return tuple(words[place:]), False, True
+            asked = asked or "about" in term.kinds
+        rest = tuple(words[place:])
+        return rest, asked, bool(rest) and rest[0] in ("i", "we")
+
+    def _says_a_need(self, words: Sequence[str], fit: Fit | None, asked: bool) -> bool:
+        """Whether a sentence tells what to do ("wash the dishes"), what is the matter ("my clothes are
+        dirty") or where something is done ("where one showers"), though it may name things."""
+        if fit is None:
+            return False
+        if words[0] == "where":
+            return words[-1] not in _STATES
+        if asked:
+            return False
+        term = self._phrases.at(words, 0)
+        names = term is not None and not {"label", "determiners", "attribute", "places", "room"}.isdisjoint(
+            term.kinds
+        )
+        if not names:
+            return stem(words[0]) in fit.stems or not _STATES.isdisjoint(words)
+        return fit.words > 1 and not _STATES.isdisjoint(words)
+
+    def _split_past(self, words: tuple[str, ...]) -> tuple[bool, tuple[str, ...]]:
+        """Whether a sentence asks for what was, and its words without a closing "before"."""
+        past = any(
+            words[place : place + len(phrase)] == phrase
+            for phrase in self._past
+            for place in range(len(words) - len(phrase) + 1)
+        )
+        while words and words[-1] in ("before", ",", ";"):
+            past = past or words[-1] == "before"
+            words = words[:-1]
+        return past, words
+
+    # What is named
+
+    def _named(self, reading: Reading) -> dict[str, Any]:
+        """The explicit target of a reading whose core has a name."""
+        draft = Draft("explicit", reading)
+        self._place_in_rooms(draft, reading.rooms, LANDMARKS_BESIDE)
+        if len(draft.things) == 1:
+            label = self._tables.labels.get(draft.things[0].label)
+            for other in label.company if label is not None else ():
+                draft.add(other, "near")
+        return draft.json()
+
+    # What serves
+
+    def _serving(
+        self, reading: Reading, fit: Fit | None, sentence: str, words: Sequence[str]
+    ) -> dict[str, Any]:
+        """The target of a reading whose core has no name: by its need, its objects, its room, its meaning."""
+        if not reading.things:
+            reading.things.append(Thing(OPEN))
+        elif not reading.open:
+            reading = Reading([Thing(OPEN)], rooms=reading.rooms)
+        known = [thing for thing in reading.objects if thing.known]
+        there = [b for a, b, word in reading.relations if a == 0 and not is_denied(word)]
+        if fit is not None:
+            return self._for_need(reading, fit.need, words, fit.stems)
+        if known:
+            return self._for_object(reading, known[0])
+        if there:
+            return self._for_related(reading, there[0])
+        if reading.rooms:
+            return self._for_room(reading)
+        need = self._needs.by_meaning(sentence)
+        if need is not None:
+            return self._for_need(reading, need, words)
+        if reading.objects:
+            return self._for_object(reading, reading.objects[0])
+        raise NoTarget(f"no known object, purpose or room in {sentence!r:.80}")
+
+    def _for_need(
+        self, reading: Reading, need: Need, words: Sequence[str], stated: frozenset[str] = frozenset()
+    ) -> dict[str, Any]:
+        """What serves a need; what the sentence names for it ("sit on the sofa") goes before what the table
+        has, unless it only states the need ("wash the *dishes*")."""
+        draft = Draft("implicit", reading)
+        serves = {need.core, *need.or_}
+        named = [thing for thing in reading.objects if stem(thing.label) not in stated] + [
+            reading.things[b] for a, b, word in reading.relations if a == 0 and word in _AT
+        ]
+        own = [thing for thing in named if thing.label in serves]
+        if own:
+            draft.kind = "implicit" if own[0].label == need.core else "explicit"
+            draft.name_core(own[0])
+        else:
+            qualities = self._tables.qualities
+            attributes = [a for a in draft.things[0].attributes if a not in qualities]
+            draft.name_core(Thing(need.core, attributes))
+        if draft.things[0].label == need.core:  # another thing has other company
+            for entry in need.with_:
+                label, relation = self._companion(entry)
+                draft.add(label, relation, again=need.with_.count(entry) > 1)
+        draft.drop_denied(draft.things[0].label)  # "there is no light here"
+        for word in words:
+            for label in self._tables.qualities.get(word, ()):
+                draft.add(label, "near")
+        self._place_in_rooms(draft, reading.rooms, LANDMARKS_BESIDE)
+        return draft.json()
+
+    def _companion(self, entry: str) -> tuple[str, str]:
+        """Label and relation of a need's companion: `laptop on` is a laptop on it, `mirror` one near it."""
+        label, _, last = entry.rpartition(" ")
+        return (label, last) if label and last in self._tables.relations else (entry, "near")
+
+    def _for_object(self, reading: Reading, thing: Thing) -> dict[str, Any]:
+        """What something shall be done with is what is looked for."""
+        draft = Draft("explicit", reading)
+        draft.name_core(thing)
+        self._place_in_rooms(draft, reading.rooms, LANDMARKS_BESIDE)
+        return draft.json()
+
+    def _for_related(self, reading: Reading, heir: int) -> dict[str, Any]:
+        """A place that is only told by what is there: the first of it is looked for."""
+        draft = Draft("explicit", reading)
+        draft.drop_core(heir)
+        self._place_in_rooms(draft, reading.rooms, LANDMARKS_BESIDE)
+        return draft.json()
+
+    def _for_room(self, reading: Reading) -> dict[str, Any]:
+        room, *others = reading.rooms
+        draft = Draft("implicit", reading)
+        landmarks = self._tables.rooms[room].landmarks
+        draft.things[0] = Thing(landmarks[0])
+        self._place_in_rooms(draft, [room], len(landmarks))
+        self._place_in_rooms(draft, others, 1)
+        return draft.json()
+
+    def _place_in_rooms(self, draft: Draft, rooms: Sequence[str], count: int) -> None:
+        """Lets things be what their room calls them, and looks for the room's landmarks beside them."""
+        for name in rooms:
+            room = self._tables.rooms[name]
+            for thing in draft.things:
+                thing.label = room.says.get(thing.label, thing.label)
+            for label in [one for one in room.landmarks if one != draft.things[0].label][:count]:
+                draft.add(label, "near")

@@ -1,0 +1,39 @@
+"""The waypoint topology kept true frame by frame: a floor plan from depth, and what it says of the edges."""
+
+from __future__ import annotations
+
+from dssmsg.frame import Frame
+from dssmsg.graph.changes import Change
+from dssmsg.graph.ids import IdAllocator
+from dssmsg.graph.topology import TopologyMaintenance, TopologyOptions
+from dssmsg.graph.view import GraphView
+from dssmsg.navigation.grid import GridOptions, RollingGrid
+
+
+class TopologyKeeper:
+    """Feeds every frame to a rolling grid and asks the maintenance what follows."""
+
+    def __init__(
+        self,
+        graph: GraphView,
+        ids: IdAllocator,
+        depth_noise_m: tuple[float, float],
+        options: TopologyOptions | None = None,
+    ) -> None:
+        self._graph = graph
+        self._grid = RollingGrid(GridOptions(noise=depth_noise_m))
+        self._maintenance = TopologyMaintenance(graph, ids, self._grid, options)
+        self._visit: int | None = None
+
+    def observe(self, frame: Frame, *, key: bool, viewpoint_id: str | None) -> tuple[Change, ...]:
+        """The changes after a frame; on a key frame loop closures are looked for too."""
+        if frame.visit != self._visit:
+            self._grid.forget()
+            self._visit = frame.visit
+        self._grid.observe(frame)
+        viewpoint = None if viewpoint_id is None else self._graph.viewpoints.get(viewpoint_id)
+        return self._maintenance.observe(
+            frame.world_from_base[:3, 3],
+            closures=key,
+            keep=None if viewpoint is None else viewpoint.waypoint_id,
+        )

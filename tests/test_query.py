@@ -1,0 +1,81 @@
+"""`dssmsg query`: a sentence grounded in a recorded graph."""
+
+from __future__ import annotations
+
+import pytest
+from project import project
+
+from dssmsg.events import Candidate
+from dssmsg.recording.reader import Recording
+from dssmsg.review.query import query_text
+
+
+def query(tmp_path, run, *arguments):
+    return project(tmp_path).run("query", str(run.recording), *arguments)
+
+
+def test_it_ranks_viewpoints_and_tells_every_term(tmp_path, oracle_run):
+    done = query(tmp_path, oracle_run, "the mirror above the washbasin", "--json")
+    assert done.code == 0, done.err
+    best = done.json["candidates"][0]
+    assert {"s_node", "s_top", "s_graph", "score", "s_relation"} <= set(best["scores"])
+    assert best["scores"]["s_graph"] == pytest.approx(best["scores"]["s_node"] + best["scores"]["s_top"])
+    with Recording.open(oracle_run.recording) as recording:
+        graph = recording.graph_at()
+    labels = {row: graph.objects[name].label for row, name in best["matching"].items()}
+    assert labels[str(done.json["target"]["core"])] == "mirror"
+    assert best["waypoint"] == graph.viewpoints[best["viewpoint"]].waypoint_id
+    assert [one["rank"] for one in done.json["candidates"]] == list(
+        range(1, len(done.json["candidates"]) + 1)
+    )
+
+
+def test_the_same_words_at_an_earlier_time_know_less(tmp_path, oracle_run):
+    early = query(tmp_path, oracle_run, "the bathtub", "--at", "frame=20", "--json").json
+    late = query(tmp_path, oracle_run, "the bathtub", "--json").json
+    assert early["frame"] == 20
+    assert len(early["candidates"]) < len(late["candidates"])
+
+
+def test_for_a_reader_it_prints_scores_and_reasons(tmp_path, oracle_run):
+    done = query(tmp_path, oracle_run, "the mirror above the washbasin", "--top", "2")
+    assert done.code == 0, done.err
+    assert "looking for mirror" in done.out
+    assert "s_graph  s_node  s_top" in done.out
+    assert "washbasin: washbasin (object-" in done.out
+    assert "more" in done.out.splitlines()[-1]
+
+
+def test_what_the_language_model_cannot_read_is_an_error(tmp_path, oracle_run):
+    done = query(tmp_path, oracle_run, "xyzzy")
+    assert done.code != 0
+    assert "llm/lexicon" in done.err
+
+
+def test_more_than_a_recording_and_a_sentence_is_refused(tmp_path, oracle_run):
+    done = query(tmp_path, oracle_run, "the", "bathtub")
+    assert done.code == 2
+    assert "quotes" in done.err
+
+
+def test_nothing_that_matches_is_said():
+    answer = {
+        "query": "a", "target": {"kind": "explicit", "core": 0, "edges": [],
+                                 "nodes": [{"label": "bed", "attributes": ["red"]}]},
+        "candidates": [],
+    }  # fmt: skip
+    assert query_text(answer, 5).splitlines() == [
+        "a: explicit, looking for red bed",
+        "nothing in the map matches",
+    ]
+    one = Candidate("viewpoint-1.1", 1, {"score": 1.0}, {})
+    row = {
+        "rank": 1,
+        "viewpoint": one.viewpoint_id,
+        "waypoint": "waypoint-1",
+        "scores": one.scores,
+        "reason": "r",
+    }
+    assert query_text({**answer, "candidates": [row]}, 5).splitlines()[1:] == [
+        "   viewpoint      waypoint    score", "1  viewpoint-1.1  waypoint-1  1.000", "   r",
+    ]  # fmt: skip
