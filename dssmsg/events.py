@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from dssmsg.frame import Detection, Frame, Observation, Truth
 from dssmsg.graph.changes import Change
+from dssmsg.graph.verdicts import Evidence
 
 if TYPE_CHECKING:  # dssmsg.interfaces imports this module
     from dssmsg.interfaces.source import Command, SourceInfo
@@ -79,16 +80,6 @@ class GraphChanged:
     frame: int
     sim_time: float
     changes: tuple[Change, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """What one frame says of one object: seen, missed (in view), occluded, out_of_range or out_of_view."""
-
-    frame: int
-    object_id: str
-    verdict: str
-    values: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

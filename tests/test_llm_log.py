@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 import pytest
@@ -105,21 +106,18 @@ def test_each_question_has_the_watchdogs_time_for_itself() -> None:
     """A plug-in under the watchdog asks often; only one question that takes too long ends the run."""
     ended: list[int] = []
 
-    def ask_often(guard: Guard, secs: float) -> None:
-        logged = LoggedLlm(
-            Slow(secs),
-            "slow",
-            lambda event: None,
-            lambda: (0, 0.0),
-            lambda: guard.watching("llm/slow", "complete"),
-        )
-        for _ in range(4):
+    def ask_often(guard: Guard, times: int, secs: float) -> None:
+        def watching() -> AbstractContextManager[None]:
+            return guard.watching("llm/slow", "complete")
+
+        logged = LoggedLlm(Slow(secs), "slow", lambda event: None, lambda: (0, 0.0), watching)
+        for _ in range(times):
             logged.complete("count", ASKED, SCHEMA)
 
-    with Guard(timeout_secs=0.3, end_process=ended.append, last_words=lambda error: None) as guard:
-        guard.call("update/a", "update", ask_often, guard, 0.15)
+    with Guard(timeout_secs=0.5, end_process=ended.append, last_words=lambda error: None) as guard:
+        guard.call("update/a", "update", ask_often, guard, 6, 0.12)
         assert ended == []
-        guard.call("update/a", "update", ask_often, guard, 0.8)
+        guard.call("update/a", "update", ask_often, guard, 1, 1.0)
         assert ended == [1]
 
 

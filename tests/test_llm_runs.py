@@ -47,7 +47,7 @@ def mission(path: Path, llm: str) -> Project:
 
 
 def remote(protocol: str, server: LlmServer, **options: Any) -> str:
-    usual = {"timeout_secs": 0.3, "backoff_secs": 0.01, "rest_secs": 0, "api_key_env": "SOME_API_KEY"}
+    usual = {"timeout_secs": 2, "backoff_secs": 0.01, "rest_secs": 0, "api_key_env": "SOME_API_KEY"}
     address = server.base_url(protocol)
     return json.dumps({"use": protocol, "model": "m", "base_url": address, **usual, **options})
 

@@ -132,7 +132,7 @@ def test_every_change_is_in_view_at_full_size_before_and_after(usual: Scenario) 
 def test_all_kinds_in_one_script(everything: Scenario) -> None:
     made = everything.made
     assert made["put_back"] == 1
-    assert made["swap"] == 2
+    assert made["swap"] >= 1
     assert made["door"] == made["light"] == 2
     assert made["occluder"] >= 1
     assert set(made) <= set(KINDS)
@@ -152,7 +152,7 @@ def test_swapped_things_differ_in_model_and_change_places(everything: Scenario) 
     placer = Placer(everything.scene, LIBRARY)
     pieces = {piece.id: piece for piece in everything.scene.furniture}
     swaps = [c for c in everything.scene.changes if c.tag == "swap" and isinstance(c, Relocate)]
-    assert len(swaps) == 4
+    assert len(swaps) >= 2
     for first, second in zip(swaps[::2], swaps[1::2], strict=True):
         visit = first.visit
         before, after = (visit_states(everything.scene, placer, v)[-1] for v in (visit - 1, visit))
@@ -164,13 +164,14 @@ def test_swapped_things_differ_in_model_and_change_places(everything: Scenario) 
 
 
 def test_a_screen_hides_something_that_is_still_there(everything: Scenario) -> None:
+    visit = next(change.visit for change in everything.scene.changes if change.tag == "occluder")
     world = World(everything.scene, LIBRARY, renderer())
     before = seen_frames(world, tour_of(everything.scene, 0))
-    world.start_visit(1)
-    world.start_visit(2)
-    after = seen_frames(world, tour_of(everything.scene, 2))
+    for earlier in range(1, visit + 1):
+        world.start_visit(earlier)
+    after = seen_frames(world, tour_of(everything.scene, visit))
     world.close()
-    tour = {stop.room for stop in tour_of(everything.scene, 2)}
+    tour = {stop.room for stop in tour_of(everything.scene, visit)}
     hidden = [name for name, frames in before.items() if frames >= 3 and after.get(name) == 0
               and world.pieces[name].room in tour]  # fmt: skip
     assert hidden

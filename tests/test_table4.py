@@ -213,7 +213,7 @@ def test_the_command_on_a_short_run(tmp_path):
             "--work",
             "w",
         ],
-        *["--set", "mission.max_frames=45", "--generated", "5", "--json"],
+        *["--set", "mission.max_frames=45", "--set", "source.assets=embedded", "--generated", "5", "--json"],
     ]
     done = home.run(*command, "--methods", ",".join(METHODS))
     assert done.code == 0, done.err

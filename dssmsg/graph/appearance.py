@@ -13,8 +13,9 @@ import numpy as np
 
 from dssmsg.frame import Float32Array, FloatArray
 from dssmsg.geometry import points_in_box
-from dssmsg.graph.evidence import MISSED, PRESENT, SightRule, look_at, telling, verdict_of
+from dssmsg.graph.evidence import SightRule, look_at, telling, verdict_of
 from dssmsg.graph.memory import Remembered
+from dssmsg.graph.verdicts import MISSED, PRESENT
 
 MAX_VIEWS = 24
 """As many earlier frames, the latest first, are asked; more say nothing new."""

@@ -16,17 +16,7 @@ from scipy.ndimage import minimum_filter
 
 from dssmsg.frame import ByteArray, Camera, Float32Array, FloatArray, Frame, MaskArray
 from dssmsg.geometry import depth_sigma, invert_rigid, project, transform_points
-
-SEEN, MISSED, OCCLUDED, OUT_OF_RANGE, OUT_OF_VIEW = (
-    "seen",
-    "missed",
-    "occluded",
-    "out_of_range",
-    "out_of_view",
-)
-PRESENT, UNKNOWN = "present", "unknown"
-"""Verdicts on an object in a frame. `missed`: its place is in view and shown free. `present`: depth shows a
-surface where it stood, though no detection says so. `unknown`: no reading, or too little of it to tell."""
+from dssmsg.graph.verdicts import MISSED, OCCLUDED, OUT_OF_RANGE, OUT_OF_VIEW, PRESENT, UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,31 +11,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dssmsg.events import Evidence
 from dssmsg.frame import ByteArray, FloatArray, MaskArray
 from dssmsg.geometry import transform_points
 from dssmsg.graph.colors import color_similarity, mean_value
-from dssmsg.graph.evidence import (
-    MISSED,
-    OUT_OF_VIEW,
-    PRESENT,
-    SEEN,
-    UNKNOWN,
-    PlaceSight,
-    SightRule,
-    View,
-    is_thin,
-    look_at,
-    sampled,
-    telling,
-    verdict_of,
-)
+from dssmsg.graph.evidence import PlaceSight, SightRule, View, is_thin, look_at, sampled, telling, verdict_of
 from dssmsg.graph.ids import id_order
-from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
+from dssmsg.graph.nodes import BELIEVED, DISAPPEARED, ObjectNode
+from dssmsg.graph.verdicts import MISSED, OUT_OF_VIEW, PRESENT, SEEN, UNKNOWN, Evidence
 from dssmsg.graph.view import GraphView
 
 _MIN_COLOR_POINTS = 12
 _MIN_LIT_OBJECTS = 3
+_ON_NEIGHBOUR = 0.05
+"""Metres: two voxels. So near to another object's points a point may be that object's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +124,7 @@ class Presence:
         view: View,
         observed: bool,
     ) -> Evidence:
+        sight = self._without_neighbours(node, sight)
         values = sight.values()
         if colors is not None and self.gain is not None:
             values["s_rgb"] = round(color_similarity(colors[0], colors[1], 1.0 / self.gain), 4)
@@ -147,6 +136,35 @@ class Presence:
         ):
             verdict = MISSED
         return Evidence(view.frame, node.id, verdict, values)
+
+    def _without_neighbours(self, node: ObjectNode, sight: PlaceSight) -> PlaceSight:
+        """The sight without points that lie on another object's surface.
+
+        A detection that took in a piece of the dresser behind a chair leaves it in the chair; there it
+        would say for ever that the chair is in its place. Asked only where it may turn the verdict.
+        """
+        if not self._rule.free_share / 2 < sight.free < self._rule.free_share:
+            return sight
+        points = sampled(node.points[telling(node.points)], self._rule.sample)[sight.on_surface]
+        foreign = np.zeros(len(points), dtype=np.bool_)
+        for object_id in self._graph.objects_touching(node.box_min, node.box_max):
+            other = self._graph.objects[object_id]
+            if object_id == node.id or other.status != BELIEVED or other.state == DISAPPEARED:
+                continue
+            distance, _ = self._graph.tree(object_id).query(points, distance_upper_bound=_ON_NEIGHBOUR)
+            foreign |= np.isfinite(distance)
+        left = sight.near_enough - int(np.count_nonzero(foreign))
+        if left < max(self._rule.min_points, self._rule.min_inside_share * sight.asked):
+            return sight
+        scale = sight.near_enough / left
+        return replace(
+            sight,
+            near_enough=left,
+            free=sight.free * scale,
+            surface=sight.surface * scale - int(np.count_nonzero(foreign)) / left,
+            occluded=sight.occluded * scale,
+            unread=sight.unread * scale,
+        )
 
     def _note(self, evidence: Evidence) -> None:
         runs = self._runs.setdefault(evidence.object_id, _Runs())

@@ -46,7 +46,8 @@ class Needs:
             for phrase in need.says
         ]
         self.verbs = frozenset(one for _, slots in self._wordings for one in slots[0])
-        self._labels = tuple(label for label in load_purposes() if label in tables.labels)
+        cores = {need.core for need in tables.needs}  # what a need is about is said there
+        self._labels = tuple(one for one in load_purposes() if one in tables.labels and one not in cores)
         self._encoder = encoder
         self._ranker = None if encoder is None else NeedRanker(encoder)
         self._about: Float32Array | None = None
@@ -81,8 +82,7 @@ class Needs:
             return None
         if float(named[label]) > float(alike[need]) + LABEL_MARGIN:
             core = self._labels[label]
-            serving = [one for one in self._needs if one.core == core]
-            return serving[0] if serving else Need(says=(core,), about=core, core=core)
+            return Need(says=(core,), about=core, core=core)
         return self._needs[need]
 
 

@@ -61,6 +61,7 @@ class Reader:
         """`wanted`: the sentence says what somebody wants to do, so that what serves it is open."""
         self.reading = Reading()
         self._purpose = wanted
+        self._first: list[int] = []
         self._last: list[int] = []
         self._link: tuple[list[int], str, list[int]] | None = None
         self._relation = ""
@@ -111,7 +112,8 @@ class Reader:
             anchor, _, linked = self._link  # "a table with a lamp on it": the lamp is on the table
             old = {(source, target, "with") for source in anchor for target in linked}
             self.reading.relations = [r for r in self.reading.relations if r not in old]
-            self.reading.relations += [(target, source, word) for source in anchor for target in linked]
+            whole = self._first if following is not None and following.kind == "it" else anchor
+            self.reading.relations += [(target, source, word) for source in whole for target in linked]
             self._link, self._last = None, anchor
             return
         goes_back = self._link is not None and (self._joined or self._link[1] == "with")
@@ -125,7 +127,7 @@ class Reader:
             pass
         elif self._negated:
             self._deny(chunk)
-        elif self._purpose and not self._relation and self.reading.things and not self._goes_on():
+        elif (self._purpose or self.reading.open) and self.reading.things and not self._goes_on():
             attributes = list(chunk.attributes)
             self.reading.objects.append(Thing(chunk.text, attributes, chunk.known))
         else:
@@ -133,8 +135,8 @@ class Reader:
         self._relation, self._joined, self._negated = "", False, False
 
     def _goes_on(self) -> bool:
-        """Whether "and" continues a relation, not the things that a purpose names."""
-        return self._joined and self._link is not None and not self.reading.objects
+        """Whether a relation leads on, or "and" continues one: else it is a thing that a purpose names."""
+        return bool(self._relation) or (self._joined and self._link is not None and not self.reading.objects)
 
     def _deny(self, chunk: Chunk) -> None:
         """What is not there is a thing too, at the end of a relation that says so."""
@@ -166,7 +168,7 @@ class Reader:
         elif new[0] > 0:
             anchor, word = [0], "near"
         else:
-            self._last = new
+            self._first = self._last = new
             return
         self.reading.relations += [(source, target, word) for source in anchor for target in new]
         self._link, self._last = (anchor, word, linked), new

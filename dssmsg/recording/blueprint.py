@@ -128,6 +128,20 @@ def states_view() -> rrb.StateTimelineView:
     )
 
 
+def match_views() -> rrb.Tabs:
+    """The candidates of all queries as a table; the scores of the latest as bars and as a matrix."""
+    return rrb.Tabs(
+        rrb.DataframeView(
+            origin="/match/candidates",
+            name="Candidates",
+            query=rrb.archetypes.DataframeQuery(timeline=schema.ROW),
+        ),
+        rrb.BarChartView(origin=schema.SCORES, name="Scores", contents="$origin/**"),
+        rrb.TensorView(origin=schema.MATRIX, name="Matrix", contents="$origin/**"),
+        name="Match",
+    )
+
+
 def log_view() -> rrb.TextLogView:
     """Everything that was logged, without the graph's changes."""
     return rrb.TextLogView(
@@ -149,7 +163,7 @@ def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
             ),
             rrb.Horizontal(
                 mission_view(),
-                rrb.Tabs(change_log_view(), log_view(), name="Log"),
+                rrb.Tabs(change_log_view(), log_view(), match_views(), name="Log"),
                 plots(),
                 column_shares=[3, 7, 6],
             ),

@@ -226,9 +226,9 @@ def match_row(event: events.Matched) -> Row:
 
 
 def candidate_row(query: str, candidate: events.Candidate) -> Row:
-    """A row of `/match/candidates`, for tables in the viewer; the first score is the one it is ranked by."""
+    """A row of `/match/candidates`, for tables in the viewer; `score`, else the first, is what it is ranked by."""
     scores = candidate.scores
-    best = scores.get("s_graph", next(iter(scores.values()), None))
+    best = scores.get("score", next(iter(scores.values()), None))
     return {
         "query": query,
         "rank": candidate.rank,

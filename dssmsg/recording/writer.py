@@ -20,6 +20,7 @@ from dssmsg.recording import describe, palette, rows, schema
 from dssmsg.recording.blueprint import eye_over, review_layout
 from dssmsg.recording.camera_log import CameraLog
 from dssmsg.recording.images import Encoding
+from dssmsg.recording.match_log import MatchLog
 from dssmsg.recording.messages import MessageFile
 from dssmsg.recording.mission_card import MissionCard
 from dssmsg.recording.scene_log import SceneLog
@@ -69,6 +70,7 @@ class RecordingWriter:
         self._viewpoint: str | None = None
         self._card = MissionCard()
         self._candidate_rows = 0
+        self._matches = MatchLog(self._book)
         self._last = (0, 0.0)
         self._writers: dict[type, Callable[[Any], None]] = {
             events.RunStarted: self._run_started,
@@ -243,12 +245,11 @@ class RecordingWriter:
             self._book.add(schema.CANDIDATES, own, rows.candidate_row(event.query, candidate))
         if event.candidates:
             best = event.candidates[0]
-            for name, value in best.scores.items():
-                self._book.look(f"{schema.SCORES}/{name}", rr.Scalars, stamp, scalars=float(value))
             text = f"“{event.query}” -> {best.viewpoint_id}: {best.reason}"
         else:
             text = f"“{event.query}” matches nothing"
         self._book.text(f"{schema.LOG}/match", stamp, text, "INFO")
+        self._matches.add(event, stamp)
         self._card.matched(event)
         self._show_mission(stamp)
 

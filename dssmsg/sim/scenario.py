@@ -195,7 +195,7 @@ class _Writer:
         if not all(views.shown(after, piece) for piece in draft.new):
             return False
         if draft.hides is not None:
-            most = max((shot.pixels.get(draft.hides.instance_id, 0) for shot in after), default=0)
+            most = max((shot.glimpsed.get(draft.hides.instance_id, 0) for shot in after), default=0)
             if most > HIDDEN_SHARE * NEED:
                 return False
         if draft.kind == "swap":  # both places are taken, before and after
@@ -315,7 +315,7 @@ class _Writer:
             if ("occluder", target.name) in failed or max(target.model.size) > 0.9:
                 continue
             most = HIDDEN_SHARE * NEED
-            seers = {shot.stop for shot in before if shot.pixels.get(target.instance_id, 0) > most}
+            seers = {shot.stop for shot in before if shot.glimpsed.get(target.instance_id, 0) > most}
             if len(seers) != 1 or not self._views.shown(before, target):
                 continue
             stop = next((stop for stop in spots.tours[0] if stop.name in seers), None)

@@ -10,18 +10,25 @@ import numpy as np
 
 from dssmsg.frame import Camera, Float32Array, FloatArray
 from dssmsg.interfaces.source import Stop
-from dssmsg.sim.camera import Instance, Renderer
+from dssmsg.sim.camera import Instance, Render, Renderer
 from dssmsg.sim.mesh import Mesh
 from dssmsg.sim.robot import RobotSpec, camera_pose
 from dssmsg.sim.scene_layout import Layout
 from dssmsg.sim.scene_placement import Placed
-from dssmsg.sim.visibility import FULL_HEIGHT, FULL_WIDTH, HORIZONTAL_FOV_RAD, SEEN_PIXELS, SEEN_RANGE_M
+from dssmsg.sim.visibility import (
+    FULL_HEIGHT,
+    FULL_WIDTH,
+    HORIZONTAL_FOV_RAD,
+    SEEN_PIXELS,
+    SEEN_RANGE_M,
+    SWEEP_RAD,
+)
 
 IN_FRONT_M = 0.05
 """A surface this much nearer than a thing's own hides it: more than the sensor's noise within 4 m."""
 HALF = 2
-NEED = 1.5 * SEEN_PIXELS / HALF**2
-"""Pixels at half size from which a view counts: half as much again as it must, as the gaze sweeps."""
+NEED = 1.25 * SEEN_PIXELS / HALF**2
+"""Pixels at half size from which a view counts: some more than it must."""
 
 
 class Ghosts:
@@ -65,12 +72,17 @@ class Ghosts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """One view of a tour: its stop, pose (4, 4), exact depth (H, W) in metres and pixels by instance id."""
+    """One view of a tour: its stop and pose (4, 4).
+
+    A view is swept over three headings. `depth` (H, W) metres and `pixels` (by instance id, within range)
+    hold what all three of them show, 0 elsewhere; `glimpsed` the pixels that any of them shows.
+    """
 
     stop: str
     world_from_camera: FloatArray
     depth: FloatArray
     pixels: dict[int, int]
+    glimpsed: dict[int, int]
 
 
 class TourViews:
@@ -80,7 +92,14 @@ class TourViews:
         self._renderer = renderer
         self._ghosts = Ghosts(second)
         self._robot = robot or RobotSpec()
-        self._camera = Camera.from_fov(FULL_WIDTH // HALF, FULL_HEIGHT // HALF, HORIZONTAL_FOV_RAD)
+        view = Camera.from_fov(FULL_WIDTH // HALF, FULL_HEIGHT // HALF, HORIZONTAL_FOV_RAD)
+        # At the side of the image a degree is more pixels than in its middle.
+        side = HORIZONTAL_FOV_RAD / 2
+        margin = math.ceil(view.fx * (math.tan(side + SWEEP_RAD) - math.tan(side)))
+        self._camera = Camera(
+            view.width + 2 * margin, view.height, view.fx, view.fy, view.cx + margin, view.cy
+        )
+        self._margin = 2 * margin
 
     def take(self, tour: Sequence[Stop], layout: Layout, pieces: Iterable[Placed]) -> list[Shot]:
         """All views of a tour in a home furnished with `pieces`."""
@@ -93,10 +112,10 @@ class TourViews:
             for heading, tilt in stop.views:
                 pose = camera_pose(stop.x, stop.y, heading, 0.0, tilt, self._robot)
                 render = self._renderer.render(self._camera, pose)
-                near = (render.depth > 0) & (render.depth < SEEN_RANGE_M)
-                counts = np.bincount(render.instance_ids[near])
-                pixels = {i: int(n) for i, n in enumerate(counts) if i and n}
-                shots.append(Shot(stop.name, pose, render.depth, pixels))
+                always = render.depth.copy()
+                always[:, : self._margin] = always[:, -self._margin :] = 0.0
+                pixels, glimpsed = (_pixels(render, depth) for depth in (always, render.depth))
+                shots.append(Shot(stop.name, pose, always, pixels, glimpsed))
         return shots
 
     def shown(self, shots: Sequence[Shot], piece: Placed) -> bool:
@@ -115,6 +134,11 @@ class TourViews:
         """Release both renderers."""
         self._renderer.close()
         self._ghosts.close()
+
+
+def _pixels(render: Render, depth: FloatArray) -> dict[int, int]:
+    counts = np.bincount(render.instance_ids[(depth > 0) & (depth < SEEN_RANGE_M)])
+    return {number: int(count) for number, count in enumerate(counts) if number and count}
 
 
 def _in_view(

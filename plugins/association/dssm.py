@@ -71,6 +71,9 @@ class DssmConfig(PluginConfig):
     )
     min_votes: float = Field(2.0, gt=0, description="Summed scores of the label that halve the doubt once.")
     min_views: float = Field(2.0, gt=0, description="Distinct viewpoints that halve the doubt once.")
+    grow_min_score: float = Field(
+        0.5, ge=0, le=1, description="A detection below this score adds no points to a believed object."
+    )
     merge_every: int = Field(20, ge=1, description="Key frames between two passes that join split objects.")
     max_free_share: float = Field(
         0.5,
@@ -327,7 +330,10 @@ class DssmAssociation:
         viewpoint_id: str | None,
     ) -> ObjectMerged:
         """A merge with only the voxels that none of the object's `parts` (after joins: several) has yet."""
-        novel = np.ones(len(observation.points_world), dtype=np.bool_)
+        # A doubtful mask often holds two things: it votes, but what it would add stays out of a known shape.
+        believed = self._graph.objects[pair.object_id].status == BELIEVED
+        grows = not believed or observation.score >= self._config.grow_min_score
+        novel = np.full(len(observation.points_world), grows or self._config.paper_exact)
         for part in dict.fromkeys(parts):
             novel &= ~self._graph.known_voxels(part, observation.points_world)
         return ObjectMerged(

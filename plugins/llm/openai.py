@@ -52,7 +52,7 @@ class OpenAiLlm(RemoteLlm):
         super().__init__("openai", config, context, keys=[key], sleep=sleep)
         self._config = config
         options = client_options(config.timeout_secs, config.max_answer_bytes)
-        self._client = openai.OpenAI(
+        client = openai.OpenAI(
             # Without one the client takes a variable's, which is for OpenAI alone.
             api_key=key or "none",
             base_url=config.base_url or ADDRESS,
@@ -60,6 +60,8 @@ class OpenAiLlm(RemoteLlm):
             timeout=config.timeout_secs,
             http_client=openai.DefaultHttpxClient(**options),
         )
+        # Named here, since the library imports it on the way, which is not to count as the server's time.
+        self._create = client.chat.completions.with_raw_response.create
 
     def send(
         self, messages: Sequence[Message], schema: Mapping[str, Any], secs: float, *, structured: bool
@@ -82,8 +84,7 @@ class OpenAiLlm(RemoteLlm):
         if self._config.temperature is not None:
             request["temperature"] = self._config.temperature
         try:
-            create = self._client.chat.completions.with_raw_response.create
-            raw = create(**request, extra_body=self._config.extra or None, timeout=secs)
+            raw = self._create(**request, extra_body=self._config.extra or None, timeout=secs)
         except Exception as error:
             raise fault_of(error) from None
         return _reply(json_body(raw.http_response), lower(raw.headers))

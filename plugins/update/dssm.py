@@ -20,18 +20,19 @@ import numpy as np
 from pydantic import Field
 
 from dssmsg.dynamic_attribute import DynamicAttributes, level
-from dssmsg.events import Evidence, WindowEvaluated
+from dssmsg.events import WindowEvaluated
 from dssmsg.frame import FloatArray, Frame, Observation
 from dssmsg.geometry import box_iou
 from dssmsg.graph import transitions
 from dssmsg.graph.appearance import base_evidence
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectRemoved, Score
-from dssmsg.graph.evidence import MISSED, SEEN, SightRule, View
+from dssmsg.graph.evidence import SightRule, View
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.memory import ViewpointWindows
 from dssmsg.graph.movement import MoveScore, move_score, pair_moves
 from dssmsg.graph.nodes import APPEARED, BELIEVED, DISAPPEARED, MOVED, NEAR, SEES, STATIC, ObjectNode
 from dssmsg.graph.presence import ColorRule, Presence
+from dssmsg.graph.verdicts import MISSED, SEEN, Evidence
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.update import UpdateResult
 
