@@ -25,7 +25,9 @@ from dssmsg.host import Host
 from dssmsg.interfaces import Context
 
 ROOT = Path(dssmsg.__file__).parents[1]
-COMMANDS = ("init", "run", "config", "plugins", "doctor", "view", "inspect", "export", "models", "eval")
+COMMANDS = (
+    *("init", "run", "config", "plugins", "doctor", "view", "inspect", "export", "query", "models", "eval"),
+)
 
 HEAVY = {"numpy", "rerun", "pydantic", "yaml", "pluggy", "rich", "scipy", "pyarrow", "dssmsg_plugins"}
 

@@ -189,6 +189,15 @@ def test_every_term_adds_up(floor):
         assert s["score"] == pytest.approx(s["s_node"] + s["s_top"] + extra)
 
 
+def test_company_that_is_only_guessed_counts_less(floor):
+    said = target("mug", "desk", edges=[(0, 1, "on")])
+    need = TargetGraph(said.text, said.nodes, said.edges, kind="implicit")
+    explicit, implicit = (without_view(floor, wanted)[0].scores for wanted in (said, need))
+    assert implicit["s_relation"] == explicit["s_relation"] == pytest.approx(1.0)
+    assert explicit["score"] - implicit["score"] == pytest.approx(0.5)
+    assert without_view(floor, need, guessed=1)[0].scores["score"] == pytest.approx(explicit["score"])
+
+
 def test_ranks_are_in_order_and_the_same_again(floor):
     wanted = target("mug", "desk", edges=[(0, 1, "on")])
     once, again = without_view(floor, wanted), without_view(floor, wanted)

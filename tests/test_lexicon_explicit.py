@@ -6,6 +6,9 @@ All sentences are our own, written while the reader was; held-out ones are kept 
 
 from __future__ import annotations
 
+from statistics import median
+from time import process_time
+
 import pytest
 
 from dssmsg.lexicon.tables import load_tables
@@ -230,6 +233,41 @@ SENTENCES = [
     ("I dropped my keys near the bench", "key, bench | key near bench"),
     ("I want to sit on the sofa", "sofa"),
     ("I want to take a nap on the couch", "sofa"),
+    ("the mug that is not in the kitchen", "mug"),
+    (
+        "three chairs around a round table",
+        "chair, chair, chair, table[round] | chair near table; chair near table; chair near table",
+    ),
+    ("a pair of lamps on either side of the bed", "lamp, bed | lamp near bed"),
+    ("what is between the sofa and the tv?", "sofa, tv | sofa near tv"),
+    ("the book my sister put on the nightstand", "book, nightstand | book on nightstand"),
+    ("the backpack that was on the bench this morning", "backpack[formerly], bench | backpack on bench"),
+    ("the plant that used to be near the tv", "plant[formerly], tv | plant near tv"),
+    (
+        "where is the trash can in the bathroom",
+        "trash can, washbasin, toilet | trash can near washbasin; trash can near toilet",
+    ),
+    ("the bathtub across from the toilet", "bathtub, toilet | bathtub opposite toilet"),
+    ("a bookcase with an armchair beside it", "bookcase, armchair | armchair next to bookcase"),
+    (
+        "the nightstand next to the bed with a lamp on it",
+        "nightstand, bed, lamp | nightstand next to bed; lamp on nightstand",
+    ),
+    ("find the white fridge standing left of the sink", "fridge[white], sink | fridge left of sink"),
+    (
+        "the bottle that stands on the cabinet next to the washbasin",
+        "bottle, cabinet, washbasin | bottle on cabinet; cabinet next to washbasin",
+    ),
+    ("table with a vase in the middle", "table, vase | table with vase"),
+    (
+        "the washing machine between the oven and the cabinet",
+        "washing machine, oven, cabinet | washing machine between oven; washing machine between cabinet",
+    ),
+    (
+        "between the bed and the wardrobe, the lamp",
+        "lamp, bed, wardrobe | lamp between bed; lamp between wardrobe",
+    ),
+    ("the laptop that isn't on the desk", "laptop, desk | laptop not on desk"),
 ]
 
 
@@ -279,3 +317,12 @@ def test_a_long_sentence_has_a_bounded_target(targets):
 def test_the_same_sentence_has_the_same_target(targets):
     again = Targets(load_tables())
     assert [again.of(sentence) for sentence, _ in SENTENCES] == [targets.of(s) for s, _ in SENTENCES]
+
+
+def test_a_sentence_takes_no_time_to_speak_of(targets):
+    spent = []
+    for sentence, _ in SENTENCES:
+        start = process_time()
+        targets.of(sentence)
+        spent.append(process_time() - start)
+    assert median(spent) < 0.03

@@ -169,6 +169,15 @@ SENTENCES = [
     ("I need to toss this banana peel", "trash can"),
     ("somewhere quiet to work without distraction", "desk, office chair, laptop, lamp"),
     ("somewhere to stand my bag while I put on my shoes", "shoes, bench, doormat"),
+    ("go back to the kitchen", "oven, fridge, kitchen cabinet, sink"),
+    ("find a place where I can put my dirty cup", "dishwasher, sink, kitchen cabinet"),
+    ("I want a midnight snack", "fridge, kitchen cabinet, oven"),
+    ("place where someone could practise an instrument", "piano, piano bench"),
+    ("a place where guests can leave their coats", "wardrobe, bed, dresser"),
+    ("I'd like to wash up", "sink, oven, fridge, kitchen cabinet"),
+    ("wash my face", "washbasin, mirror, toilet"),
+    ("I want to look good for my date", "mirror, washbasin"),
+    ("I would like you to go to the place where I usually watch TV", "tv, tv stand, sofa"),
 ]
 NAMED = [
     ("I want to sit on the sofa", "sofa"),

@@ -151,6 +151,19 @@ def test_recorded_needs_a_recording(tmp_path):
         recorded.Recorded(recorded.Config(recording="none.rrd"), context(tmp_path))
 
 
+def test_doctor_is_told_of_files_that_are_missing(tmp_path):
+    configs = [recorded.Config(recording="a.rrd"), scripted.Config(file="a.yaml")]
+    found = [one.problems(tmp_path, None) for one in configs]
+    assert found == [
+        [f"recording: {tmp_path / 'a.rrd'}: no such file or folder"],
+        [f"file: {tmp_path / 'a.yaml'}: no such file"],
+    ]
+    for name in ("a.rrd", "a.yaml"):
+        (tmp_path / name).touch()
+    assert [one.problems(tmp_path, None) for one in configs] == [[], []]
+    assert scripted.Config(answers={"target_graph": [SINK]}).problems(tmp_path, None) == []
+
+
 # Requests and schemas.
 
 

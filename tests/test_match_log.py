@@ -21,7 +21,9 @@ def matched(query, *scores):
 
 
 QUERIES = [
-    matched("the mug / on the desk?", {"score": 3.5, "s_node": 1.0}, {"score": 2.0, "s_node": 0.5, "s_top": 0.1}),
+    matched(
+        "the mug / on the desk?", {"score": 3.5, "s_node": 1.0}, {"score": 2.0, "s_node": 0.5, "s_top": 0.1}
+    ),
     matched("nothing like it"),
     matched("the mug / on the desk?", {"cosine": 0.25}),
     matched("no scores", {}),
@@ -42,10 +44,13 @@ def path(tmp_path):
 
 def cells(path, entity, component):
     """Values of a component of an entity, in order."""
-    batches = RrdReader(path).store().stream().filter(content=entity).to_record_batch
-    table = batches() if callable(batches) else batches
-    (name,) = [one for one in table.schema.names if one.endswith(component)]
-    return [cell for cell in table.column(name).to_pylist() if cell]
+    found = []
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == entity:
+            batch = chunk.to_record_batch()
+            names = [name for name in batch.schema.names if name.endswith(component)]
+            found += [cell for name in names for cell in batch.column(name).to_pylist() if cell]
+    return found
 
 
 def test_every_query_has_its_bars_and_its_matrix(path):
@@ -57,7 +62,7 @@ def test_every_query_has_its_bars_and_its_matrix(path):
 
 def test_bars_are_the_scores_that_ranked(path):
     (bars,) = cells(path, "/scores/001_the_mug___on_the_desk", "BarChart:values")
-    assert bars[0]["buffer"]["Float64" if "Float64" in bars[0]["buffer"] else 0] == [3.5, 2.0] or "3.5" in str(bars)
+    assert list(bars[0]["buffer"]) == [3.5, 2.0]
 
 
 def test_the_matrix_has_a_row_a_candidate_and_a_column_a_score(path):

@@ -34,14 +34,14 @@ furniture:
   - {id: table-1, category: table, at: [3.0, 2.0], yaw_deg: 90, size: [1.2, 0.8, 0.75]}
   - {id: laptop-1, category: laptop, on: table-1, at: [0.3, 0.0]}
   - {id: vase-1, category: vase, on: table-1, at: [-0.3, 0.0]}
-  - {id: chair-1, category: chair, at: [1.2, 3.4], size: [0.42, 0.46, 0.88]}
+  - {id: chair-1, category: chair, at: [0.9, 3.4], size: [0.42, 0.46, 0.88]}
   - {id: sofa-1, category: sofa, wall: den.south, along: 2.0, size: [1.8, 0.8, 0.8]}
   - {id: box-1, category: box, at: [5.5, 0.5], size: [0.5, 0.5, 0.5]}
 tour:
-  - {name: a, at: [1.7, 2.0], views: [[0, -25], [-80, -25], [110, -25]]}
+  - {name: a, at: [1.7, 2.0], views: [[0, -25], [-80, -25], [98, -25]]}
 changes:
   - {kind: disappear, object: vase-1, before_visit: 1}
-  - {kind: relocate, object: chair-1, before_visit: 1, to: {at: [1.9, 3.5], yaw_deg: 30, z: 0.0}, tag: near}
+  - {kind: relocate, object: chair-1, before_visit: 1, to: {at: [2.1, 3.5], yaw_deg: 30, z: 0.0}, tag: near}
   - {kind: appear, before_visit: 1, piece: {id: backpack-1, category: backpack, at: [2.4, 1.0], z: 0.0}}
   - {kind: relocate, object: box-1, before_visit: 1, to: {at: [5.5, 2.0]}}
 """

@@ -198,7 +198,7 @@ def test_a_target_graph_in_a_line():
 
 
 def test_the_command_on_a_short_run(tmp_path):
-    """The bathroom is seen in 45 frames; the second time the recording is there already."""
+    """The bathroom is seen in 30 frames; the second time the recording is there already."""
     home = project(tmp_path)
     command = [
         *[
@@ -213,7 +213,7 @@ def test_the_command_on_a_short_run(tmp_path):
             "--work",
             "w",
         ],
-        *["--set", "mission.max_frames=45", "--set", "source.assets=embedded", "--generated", "5", "--json"],
+        *["--set", "mission.max_frames=30", "--set", "source.assets=embedded", "--generated", "5", "--json"],
     ]
     done = home.run(*command, "--methods", ",".join(METHODS))
     assert done.code == 0, done.err

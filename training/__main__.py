@@ -8,7 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-STAGES = ("render", "masks", "masks2", "masks3", "crops", "proposals", "tune", "export", "calibrate")
+STAGES = (
+    "render",
+    "masks",
+    "masks2",
+    "masks3",
+    "masks4",
+    "crops",
+    "proposals",
+    "tune",
+    "export",
+    "calibrate",
+)
 SEEDS = (*range(540), *range(600, 800))
 
 
@@ -33,8 +44,8 @@ def run(stage: str, given: argparse.Namespace) -> None:
     """One stage; what only it needs is imported here."""
     work: Path = given.work
     shards = work / "shards"
-    names = ("masks", "masks2", "masks3", "crops", "tuned")
-    first, second, masks, crops, tuned = (work / f"{name}.pt" for name in names)
+    names = ("masks", "masks2", "masks3", "masks4", "crops", "tuned")
+    first, second, third, masks, crops, tuned = (work / f"{name}.pt" for name in names)
     if stage == "render":
         from training.render import render
 
@@ -54,7 +65,11 @@ def run(stage: str, given: argparse.Namespace) -> None:
     elif stage == "masks3":
         from training import masks as mask_stage
 
-        mask_stage.train(shards, masks, planned(mask_stage.THIRD, given.steps), begin_with=second)
+        mask_stage.train(shards, third, planned(mask_stage.THIRD, given.steps), begin_with=second)
+    elif stage == "masks4":
+        from training import masks as mask_stage
+
+        mask_stage.train(shards, masks, planned(mask_stage.FOURTH, given.steps), begin_with=third)
     elif stage == "crops":
         from training import crops_train
 

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS
 from dssmsg.recogniser.shelf import all_labels
 from training.nets import MaskNet
+from training.render import LIVED_IN_FROM
 from training.samples import Views
 
 
@@ -22,7 +24,9 @@ class Plan:
     """How long and how fast to learn.
 
     The learning rate's course is laid out for `steps`, training ends after `until`; the shards of seeds below
-    `seeds` are used; `small` gives the pixels of small things more weight, 0 = each pixel counts the same.
+    `seeds` are used; `small` gives the pixels of small things more weight, 0 = each pixel counts the same,
+    and with `everywhere` also in what is learnt of centres and borders. `lived_in` is the share of the views
+    that show rooms as people leave them, None: as many as there are; `zoom` of parts of views, enlarged.
     """
 
     steps: int = 1100
@@ -33,31 +37,37 @@ class Plan:
     save_every: int = 100
     seeds: int = 360
     small: float = 0.0
+    everywhere: bool = False
+    lived_in: float | None = None
+    zoom: float = 0.0
 
 
 def loss(
-    dense: Tensor, classes: Tensor, target: list[Tensor], nothing: int, small: float
+    dense: Tensor, classes: Tensor, target: list[Tensor], nothing: int, plan: Plan
 ) -> tuple[Tensor, list[float]]:
     """The weighted sum of the five losses, and each of them."""
     thing, heat, border, offset, weight, label = target
     bce = functional.binary_cross_entropy_with_logits
-    even = 1 + small * weight  # the weight is 0 outside things, and grows as things get small
+    even = 1 + plan.small * weight  # the weight is 0 outside things, and grows as things get small
     coarse = even[:, ::2, ::2]
+    shape = even if plan.everywhere else torch.ones_like(even)
     named = torch.where(label < 0, nothing, label).long()
     parts = [
         bce(dense[:, 0], thing, weight=even),
-        60 * ((torch.sigmoid(dense[:, 1]) - heat).square() * (0.3 + heat)).mean(),
+        60 * ((torch.sigmoid(dense[:, 1]) - heat).square() * (0.3 + heat) * shape).mean(),
         2 * ((dense[:, 2:4] - offset).abs().sum(1) * weight).sum() / weight.sum().clamp(min=1),
-        0.5 * bce(dense[:, 4], border, pos_weight=torch.tensor(3.0)),
+        0.5 * bce(dense[:, 4], border, weight=shape, pos_weight=torch.tensor(3.0)),
         0.5 * (functional.cross_entropy(classes, named, reduction="none") * coarse).mean(),
     ]
     return torch.stack(parts).sum(), [float(part.detach()) for part in parts]
 
 
-SECOND = Plan(steps=900, until=900, rate=1.6e-3, seed=1, seeds=10**6, small=1.0)
+SECOND = Plan(steps=900, until=900, rate=1.6e-3, seed=1, seeds=LIVED_IN_FROM, small=1.0)
 """The second round: every shard, and more weight on small things."""
-THIRD = Plan(steps=600, until=500, rate=1.2e-3, seed=2, seeds=10**6, small=1.0)
+THIRD = Plan(steps=600, until=500, rate=1.2e-3, seed=2, seeds=LIVED_IN_FROM, small=1.0)
 """The third round: the same from a lower rate."""
+FOURTH = Plan(steps=600, until=600, rate=1e-3, seed=3, seeds=10**6, small=1.5, everywhere=True, lived_in=0.6)
+"""The fourth round: most views show rooms full of small things, which count in every part of the loss."""
 
 
 def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -> None:
@@ -89,16 +99,18 @@ def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -
         optimiser.load_state_dict(saved["optimiser"])
         schedule.load_state_dict(saved["schedule"])
         start = saved["step"]
+    chance = None if plan.lived_in is None else _chances(views, plan.lived_in)
     net.train()
     began, sums = time.time(), np.zeros(5)
     for step in range(start, plan.until):
         rng = np.random.default_rng([plan.seed, step])
-        samples = [views.sample(int(i), rng) for i in rng.choice(len(views), plan.batch, replace=False)]
+        drawn = rng.choice(len(views), plan.batch, replace=False, p=chance)
+        samples = [views.sample(int(i), rng, plan.zoom) for i in drawn]
         image, geometry, *target = (torch.from_numpy(np.stack(part)) for part in zip(*samples, strict=True))
         dense, classes = net(
             *(part.contiguous(memory_format=torch.channels_last) for part in (image, geometry))
         )
-        total, parts = loss(dense, classes, target, nothing, plan.small)
+        total, parts = loss(dense, classes, target, nothing, plan)
         optimiser.zero_grad()
         total.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 5.0)
@@ -114,3 +126,10 @@ def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -
                 {"net": net.state_dict(), "optimiser": optimiser.state_dict(),
                  "schedule": schedule.state_dict(), "step": step + 1}, out,
             )  # fmt: skip
+
+
+def _chances(views: Views, lived_in: float) -> NDArray[np.float64]:
+    """(N,) chance of each view, so that those of lived-in rooms have the share `lived_in` of all."""
+    late = views.seeds >= LIVED_IN_FROM
+    chance: NDArray[np.float64] = np.where(late, lived_in / late.sum(), (1 - lived_in) / (~late).sum())
+    return chance / chance.sum()

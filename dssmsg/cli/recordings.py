@@ -27,6 +27,7 @@ class Layout(enum.StrEnum):
     REVIEW = "review"
     SCENE = "scene"
     GRAPH = "graph"
+    DYNAMICS = "dynamics"
 
 
 RecordingArgument = Annotated[

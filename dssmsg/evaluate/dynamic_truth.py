@@ -23,6 +23,7 @@ from dssmsg.graph.nodes import APPEARED, DISAPPEARED, MOVED, STATIC
 from dssmsg.recording.reader import Recording
 from dssmsg.sim.camera import make_renderer
 from dssmsg.sim.mesh import Mesh, box
+from dssmsg.sim.robot import RobotSpec
 from dssmsg.sim.scenario_source import scripted_scene
 from dssmsg.sim.scenario_views import Ghosts
 from dssmsg.sim.scene import Appear, Disappear, Relocate, Scene
@@ -201,6 +202,7 @@ def _placed(recording: Recording, last_visit: int) -> _PlacedScene:
             counts=source["change_counts"],
             visits=source["visits"],
             renderer=source["renderer"],
+            robot=RobotSpec(camera_height=source["camera_height"], camera_forward=source["camera_forward"]),
             base_dir=Path.cwd(),
         )
         if source["changes"] == "none":

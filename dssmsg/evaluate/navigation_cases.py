@@ -22,7 +22,7 @@ from dssmsg.sim.tour import visit_solids
 
 SEEK_VISIT = 1
 Point = tuple[float, float]
-_PASSABLE_M = (0.27, 0.24, 0.22)
+_PASSABLE_M = (0.3, 0.27, 0.24, 0.22)
 """A robot of the first of these radii that gets everywhere in a home still must with obstacles in it."""
 _FROM_STOPS_M = 0.75
 _TRIES = 120

@@ -32,16 +32,21 @@ def draw_figure(table: str, rows: Sequence[Row], file: Path) -> None:
             key="--figure",
         ) from error
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    figure = Figure(figsize=(5.2 * max(1, len(scenes)), 3.6), layout="constrained")
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    figure = Figure(figsize=(4.6 * max(1, len(scenes)) + 1.8, 3.6), layout="constrained")
+    drawn: dict[str, Any] = {}
     for index, scene in enumerate(scenes):
         axes = figure.add_subplot(1, len(scenes), index + 1)
         own = [row for row in rows if row["scene"] == scene]
         if table == "fig5":
-            _curves(axes, own)
+            drawn |= _curves(axes, own, methods)
         else:
-            _bars(axes, own, SHOWN[table])
+            drawn |= _bars(axes, own, SHOWN[table], methods)
         axes.set_title(scene)
+        axes.set_axisbelow(True)
         axes.grid(axis="y", alpha=0.3)
+    if drawn:
+        figure.legend(list(drawn.values()), list(drawn), loc="outside right upper", fontsize=7)
     perceptions = ", ".join(dict.fromkeys(row["perception"] for row in rows))
     figure.suptitle(f"{table}, perception {perceptions}")
     try:
@@ -50,8 +55,9 @@ def draw_figure(table: str, rows: Sequence[Row], file: Path) -> None:
         raise StorageError(f"cannot be written ({error.strerror})", file=file) from error
 
 
-def _bars(axes: Any, rows: Sequence[Row], metrics: Sequence[str]) -> None:
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+def _bars(axes: Any, rows: Sequence[Row], metrics: Sequence[str], methods: Sequence[str]) -> dict[str, Any]:
+    """Bars, a colour a method; what stands for each method in the legend."""
+    drawn = {}
     width = 0.8 / max(1, len(methods))
     for number, method in enumerate(methods):
         for place, metric in enumerate(metrics):
@@ -59,16 +65,18 @@ def _bars(axes: Any, rows: Sequence[Row], metrics: Sequence[str]) -> None:
             if row is None:
                 continue
             x = place + (number - (len(methods) - 1) / 2) * width
-            label = method if place == 0 else None
-            axes.bar(x, row["mean"], width, yerr=row["std"], capsize=2, color=f"C{number}", label=label)
+            bars = axes.bar(x, row["mean"], width, yerr=row["std"], capsize=2, color=f"C{number}")
+            drawn[method] = bars
             if row.get("paper") is not None:
                 axes.hlines(row["paper"], x - width / 2, x + width / 2, colors="black", linestyles="dashed")
     axes.set_xticks(range(len(metrics)), [metric.replace("_", "\n") for metric in metrics], fontsize=7)
-    axes.legend(fontsize=7)
+    return drawn
 
 
-def _curves(axes: Any, rows: Sequence[Row]) -> None:
-    for number, method in enumerate(dict.fromkeys(row["method"] for row in rows)):
+def _curves(axes: Any, rows: Sequence[Row], methods: Sequence[str]) -> dict[str, Any]:
+    """Means with a band of one deviation, a colour a method; what stands for each in the legend."""
+    drawn = {}
+    for number, method in enumerate(methods):
         points = [
             (int(row["metric"].removeprefix(_CURVE)), row["mean"], row["std"])
             for row in rows
@@ -77,11 +85,10 @@ def _curves(axes: Any, rows: Sequence[Row]) -> None:
         if not points:
             continue
         updates, means, spreads = zip(*points, strict=True)
-        axes.plot(updates, means, color=f"C{number}", label=method)
+        (drawn[method],) = axes.plot(updates, means, color=f"C{number}")
         low = [mean - spread for mean, spread in zip(means, spreads, strict=True)]
         high = [mean + spread for mean, spread in zip(means, spreads, strict=True)]
         axes.fill_between(updates, low, high, color=f"C{number}", alpha=0.15)
     axes.set_xlabel("valid update")
     axes.set_ylabel("relative accuracy")
-    if axes.lines:
-        axes.legend(fontsize=7)
+    return drawn

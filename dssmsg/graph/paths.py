@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.nodes import PATH, Edge
@@ -36,12 +36,13 @@ def shortest_path(
     *,
     longest: float = math.inf,
     without: tuple[str, str, str] | None = None,
+    try_blocked: Callable[[Edge], bool] | None = None,
 ) -> tuple[str, ...] | None:
     """Waypoint ids from `start` to `goal`, both included, the shortest by length; None if there is no way.
 
     Ways longer than `longest` metres are not looked for, so that the search stays around `start`; nor ways
-    over the edge `without`. A blocked edge (`blocked: true`) is no way. Of equally long ways the one through
-    older waypoints is taken.
+    over the edge `without`. A blocked edge (`blocked: true`) is no way, unless `try_blocked` says so of
+    it. Of equally long ways the one through older waypoints is taken.
     """
     if start not in graph.waypoints or goal not in graph.waypoints:
         return None
@@ -54,7 +55,7 @@ def shortest_path(
         came_from[node] = previous
         if node == goal:
             return _walk_back(came_from, goal)
-        for edge, other in _open_edges(graph, node):
+        for edge, other in _open_edges(graph, node, try_blocked):
             further = length + edge_length(graph, edge)
             if other not in came_from and further <= longest and edge_key(node, other) != without:
                 heapq.heappush(queue, (further, id_order(other), other, node))
@@ -76,9 +77,11 @@ def path_length(graph: GraphView, path: tuple[str, ...]) -> float:
     return math.fsum(edge_length(graph, graph.edges[edge_key(a, b)]) for a, b in steps)
 
 
-def _open_edges(graph: GraphView, node: str) -> Iterator[tuple[Edge, str]]:
+def _open_edges(
+    graph: GraphView, node: str, try_blocked: Callable[[Edge], bool] | None
+) -> Iterator[tuple[Edge, str]]:
     for edge in graph.edges_of(node, PATH):
-        if not edge.attributes.get("blocked"):
+        if not edge.attributes.get("blocked") or (try_blocked is not None and try_blocked(edge)):
             yield edge, edge.target if edge.source == node else edge.source
 
 

@@ -142,8 +142,8 @@ class Chunker:
             self._chunks.insert(len(self._chunks) - led, Chunk("room", name, known=led))
             self._noun_due = True
             return
-        self._drop_relation()
-        self._chunks.append(Chunk("room", name, known=led))
+        if not self._drop_relation():
+            self._chunks.append(Chunk("room", name, known=led))
         self._forget()
 
     def _unknown(self, place: int) -> int:
@@ -190,10 +190,12 @@ class Chunker:
         self._describe_last()
         self._forget()
 
-    def _drop_relation(self) -> None:
-        """A relation to what is never in a graph leads nowhere."""
+    def _drop_relation(self) -> bool:
+        """A relation to what is never in a graph leads nowhere; whether it was denied."""
+        denied = False
         while self._chunks and self._chunks[-1].kind in ("relation", "not"):
-            self._chunks.pop()
+            denied = self._chunks.pop().kind == "not"
+        return denied
 
     def _describe_last(self) -> None:
         """Attributes that no thing came after are of the one before: "the chair that is red"."""

@@ -181,14 +181,14 @@ def _subject_first(chunks: Sequence[Chunk]) -> Sequence[Chunk]:
     """
     if not chunks or chunks[0].kind != "relation":
         return chunks
-    led = False
+    led = 0  # things that the last relation still leads to; "between" leads to two
     for place, chunk in enumerate(chunks):
         if chunk.kind == "relation":
-            led = True
+            led = 2 if chunk.text == "between" else 1
         elif chunk.kind in ("thing", "open"):
             if not led and not (chunks[place - 1].kind == "join" and _is_list(chunks, place)):
                 return (chunk, *chunks[:place], *chunks[place + 1 :])
-            led = False
+            led = max(0, led - 1)
     return chunks
 
 

@@ -150,7 +150,8 @@ class Targets:
             return self._for_related(reading, there[0])
         if reading.rooms:
             return self._for_room(reading)
-        need = self._needs.by_meaning(sentence)
+        denies = len(reading.things) > 1
+        need = None if denies else self._needs.by_meaning(sentence)
         if need is not None:
             return self._for_need(reading, need, words)
         if reading.objects:

@@ -31,6 +31,8 @@ class DetourOptions:
     extra: float = 0.8
     reach: float = 2.7
     """No further ahead than this is the way rejoined: the grid ends at 3 m."""
+    asides: tuple[float, ...] = (0.0, 0.2, -0.2, 0.4, -0.4)
+    """So far beside the way, to the left, it may be rejoined."""
     near_end: float = 0.6
     """Where something stands on the way's end, a place this near stands in for it."""
 
@@ -116,23 +118,34 @@ def _rejoining(
     travelled, behind = 0.0, False
     room = options.radius + options.margin
     for leg, (a, b) in enumerate(itertools.pairwise([start, *way])):
-        length = math.dist(a, b)
+        length = max(math.dist(a, b), 1e-6)
         steps = max(1, math.ceil(length / 0.2))
         for step in range(1, steps + 1):
             share = step / steps
             place = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
             if math.dist(start, place) > options.reach:
                 return
-            cell = grid.cell(place)
-            clear = cell is not None and float(grid.clearance[cell]) >= room
-            behind = behind or not clear
-            if clear and behind and travelled + share * length > 0.4:
-                yield place, leg + (step == steps), travelled + share * length
+            behind = behind or not _has_room(grid, place, room)
+            if not behind or travelled + share * length <= 0.4:
+                continue
+            for aside in options.asides:  # the way may pass as close to things as it was driven, a detour not
+                beside = (
+                    place[0] - aside * (b[1] - a[1]) / length,
+                    place[1] + aside * (b[0] - a[0]) / length,
+                )
+                straight_on = step == steps or not aside or is_clear(grid, beside, [b], options.radius)
+                if _has_room(grid, beside, room) and straight_on:
+                    yield beside, leg + (step == steps), travelled + share * length
+                    break
         travelled += length
     for place in _around(way[-1], options.near_end):
-        cell = grid.cell(place)
-        if cell is not None and float(grid.clearance[cell]) >= room:
+        if _has_room(grid, place, room):
             yield place, len(way), travelled
+
+
+def _has_room(grid: RollingGrid, place: Point, room: float) -> bool:
+    cell = grid.cell(place)
+    return cell is not None and float(grid.clearance[cell]) >= room
 
 
 def _around(middle: Point, radius: float) -> Iterator[Point]:

@@ -142,6 +142,17 @@ def match_views() -> rrb.Tabs:
     )
 
 
+def window_views() -> rrb.Horizontal:
+    """The window of the viewpoint at the cursor, and two pictures of the latest verdict."""
+    return rrb.Horizontal(
+        rrb.TextDocumentView(origin=schema.WINDOW_TEXT, name="Window", contents=[schema.WINDOW_TEXT]),
+        rrb.Spatial2DView(origin=schema.WINDOW_BEFORE, name="Before the latest verdict"),
+        rrb.Spatial2DView(origin=schema.WINDOW_NOW, name="At the latest verdict"),
+        column_shares=[3, 1, 1],
+        name="Windows",
+    )
+
+
 def log_view() -> rrb.TextLogView:
     """Everything that was logged, without the graph's changes."""
     return rrb.TextLogView(
@@ -163,7 +174,7 @@ def review_layout(eye: Eye | None = None) -> rrb.Blueprint:
             ),
             rrb.Horizontal(
                 mission_view(),
-                rrb.Tabs(change_log_view(), log_view(), match_views(), name="Log"),
+                rrb.Tabs(change_log_view(), window_views(), match_views(), log_view(), name="Log"),
                 plots(),
                 column_shares=[3, 7, 6],
             ),
@@ -195,10 +206,24 @@ def graph_layout(eye: Eye | None = None) -> rrb.Blueprint:
     )
 
 
+def dynamics_layout(eye: Eye | None = None) -> rrb.Blueprint:
+    """What changed in the home: the windows of the viewpoints large, beside the scene and the changes."""
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                world_view(eye), rrb.Vertical(camera_view(), change_log_view()), column_shares=[3, 2]
+            ),
+            window_views(),
+        ),
+        *_panels(),
+    )
+
+
 LAYOUTS: dict[str, Callable[[Eye | None], rrb.Blueprint]] = {
     "review": review_layout,
     "scene": scene_layout,
     "graph": graph_layout,
+    "dynamics": dynamics_layout,
 }
 """Layouts by the name that `dssmsg view --layout` takes."""
 

@@ -29,6 +29,8 @@ class CameraLog:
         self._last_spot: FloatArray | None = None
         self._overlaid = False
         self._truth_objects: Any = None
+        self.picture = b""
+        """The last frame's colour image as it was encoded."""
 
     @property
     def robot_spot(self) -> FloatArray | None:
@@ -46,7 +48,8 @@ class CameraLog:
                 media_type="image/png", meter=1000.0, depth_range=_DEPTH_RANGE_MM
             ),
         )
-        log(schema.RGB, None, rr.EncodedImage.from_fields(media_type=MEDIA_TYPES[self._images]))
+        for path in (schema.RGB, schema.WINDOW_BEFORE, schema.WINDOW_NOW):
+            log(path, None, rr.EncodedImage.from_fields(media_type=MEDIA_TYPES[self._images]))
         log(
             schema.TRAIL,
             None,
@@ -80,7 +83,8 @@ class CameraLog:
         book.add(schema.FRAMES, stamp, rows.frame_row(event, updates))
         if event.command is not None:
             book.add(schema.COMMANDS, stamp, rows.command_row(event.command))
-        book.look(schema.RGB, rr.EncodedImage, stamp, blob=encode_rgb(frame.rgb, self._images, self._quality))
+        self.picture = encode_rgb(frame.rgb, self._images, self._quality)
+        book.look(schema.RGB, rr.EncodedImage, stamp, blob=self.picture)
         book.look(schema.DEPTH, rr.EncodedDepthImage, stamp, blob=encode_depth(frame.depth))
         self._pose(schema.CAMERA, stamp, frame.world_from_camera)
         self._pose(schema.ROBOT, stamp, frame.world_from_base)

@@ -1,4 +1,4 @@
-"""What the viewer shows of a grounded query: the candidates' scores as bars and as a matrix, a path a query."""
+"""What the viewer shows of a grounded query: its candidates' scores as bars and as a matrix."""
 
 from __future__ import annotations
 

@@ -226,7 +226,7 @@ def match_row(event: events.Matched) -> Row:
 
 
 def candidate_row(query: str, candidate: events.Candidate) -> Row:
-    """A row of `/match/candidates`, for tables in the viewer; `score`, else the first, is what it is ranked by."""
+    """A row of `/match/candidates`, for tables in the viewer; ranked by `score`, else by the first."""
     scores = candidate.scores
     best = scores.get("score", next(iter(scores.values()), None))
     return {

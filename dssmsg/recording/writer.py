@@ -25,6 +25,7 @@ from dssmsg.recording.messages import MessageFile
 from dssmsg.recording.mission_card import MissionCard
 from dssmsg.recording.scene_log import SceneLog
 from dssmsg.recording.sheets import SheetBook, Stamp, path_part
+from dssmsg.recording.window_log import WindowLog
 
 _CHANGE_GROUPS = {
     "object_added": "objects added",
@@ -71,6 +72,7 @@ class RecordingWriter:
         self._card = MissionCard()
         self._candidate_rows = 0
         self._matches = MatchLog(self._book)
+        self._windows = WindowLog(self._book)
         self._last = (0, 0.0)
         self._writers: dict[type, Callable[[Any], None]] = {
             events.RunStarted: self._run_started,
@@ -231,6 +233,7 @@ class RecordingWriter:
         stamp = self._stamp(event.frame, event.sim_time)
         row = rows.window_row(event)
         self._book.add(schema.WINDOWS, stamp, row)
+        self._windows.add(event, stamp, self._graph, self._camera.picture)
         if row["verdicts"]:
             self._book.text(
                 f"{schema.LOG}/windows", stamp, f"{event.viewpoint_id}: {row['verdicts']}", "INFO"

@@ -17,17 +17,25 @@ import numpy as np
 
 from dssmsg.errors import InputError
 from dssmsg.sim.furniture import FurnitureLibrary
+from dssmsg.sim.scenario_pieces import (
+    anywhere,
+    appear_change,
+    is_screen,
+    new_pieces,
+    plain_scene,
+    relocate_change,
+    screens,
+    scripted,
+    with_twins,
+)
 from dssmsg.sim.scenario_spots import Spots
 from dssmsg.sim.scenario_views import NEED, Shot, TourViews
 from dssmsg.sim.scene import (
-    Appear,
     Change,
     Disappear,
     DoorChange,
     LightChange,
-    Piece,
     Placement,
-    Relocate,
     Scene,
 )
 from dssmsg.sim.scene_layout import build_layout
@@ -44,12 +52,6 @@ HIDDEN_SHARE = 0.1
 """A thing is hidden where no view shows more than this share of the pixels that count."""
 _ROUNDS = 12
 _LIGHTS = (0.5, 0.6, 0.75, 1.2, 1.35)
-_SCREEN = (0.6, 0.4, 1.25)
-_NEW = (
-    "backpack", "potted plant", "vase", "bottle", "bowl", "laptop", "kettle", "teapot", "box", "teddy bear",
-    "basket", "radio", "suitcase", "handbag", "stool", "candle", "flowers", "clothes", "ball", "toaster",
-    "fan",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,16 +130,16 @@ class _Writer:
         self._views = views
         self._visits = visits
         self._counts = {kind: counts[kind] for kind in KINDS if counts.get(kind, 0) > 0}
-        self._scene = _plain(scene)
+        self._scene = plain_scene(scene)
         self._pairs: list[tuple[str, str]] = []
         if "swap" in self._counts:
-            self._scene, self._pairs = _with_twins(
+            self._scene, self._pairs = with_twins(
                 self._scene, library, self._rng, self._counts["swap"] * (visits - 1)
             )
-        self._pool = [*_new_pieces(self._scene, self._rng), *_screens(self._scene, visits * 8)]
+        self._pool = [*new_pieces(self._scene, self._rng), *screens(self._scene, visits * 8)]
         # Every thing that may ever come is known to the placer, which numbers the instances.
         self._placer = Placer(
-            _scripted(self._scene, [_appear(piece, _anywhere(scene), 1) for piece in self._pool]), library
+            scripted(self._scene, [appear_change(piece, anywhere(scene), 1) for piece in self._pool]), library
         )
         self._pieces = self._placer.initial()
         self._places = {
@@ -154,13 +156,13 @@ class _Writer:
             kind: count * (max(0, self._visits - 2) if kind == "put_back" else self._visits - 1)
             for kind, count in self._counts.items()
         }
-        return Scenario(_scripted(self._scene, self._changes), asked, dict(self._made))
+        return Scenario(scripted(self._scene, self._changes), asked, dict(self._made))
 
     def write(self, visit: int) -> None:
         """Draw the changes before one visit."""
         before = self._shots(visit - 1)
         for name, place in self._back:
-            self._changes.append(_relocate(name, place, visit, "put_back"))
+            self._changes.append(relocate_change(name, place, visit, "put_back"))
             self._pieces[name] = self._placer.place(self._pieces[name].piece, place, self._pieces)
             self._places[name] = place
         self._back.clear()
@@ -184,7 +186,7 @@ class _Writer:
     # What the tours see
 
     def _shots(self, visit: int, pieces: Mapping[str, Placed] | None = None) -> list[Shot]:
-        scene = _scripted(self._scene, self._changes)
+        scene = scripted(self._scene, self._changes)
         layout = build_layout(scene, closed_doors(scene, visit))
         return self._views.take(tour_of(scene, visit), layout, (pieces or self._pieces).values())
 
@@ -210,7 +212,7 @@ class _Writer:
         self, drafts: list[_Draft], visit: int, before: Sequence[Shot], failed: set[tuple[str, str]]
     ) -> None:
         """Draw what is still missing of each kind."""
-        scene = _scripted(self._scene, self._changes)
+        scene = scripted(self._scene, self._changes)
         layout = build_layout(scene, closed_doors(scene, visit))
         spots = Spots(
             scene, self._placer, layout, [tour_of(scene, later) for later in range(visit, self._visits)]
@@ -233,6 +235,8 @@ class _Writer:
         failed: set[tuple[str, str]],
     ) -> _Draft | None:
         pieces = _pieces_after(self._pieces, drafts)
+        # Nothing is put where something has just left: that would be one thing changed into another.
+        pieces |= {f"{old.name} (left)": old for draft in drafts for old in draft.old}
         names = self._used.union(*(draft.names for draft in drafts))
         labels = self._labels | {p.model.label for d in drafts for p in (*d.old, *d.new)}
         if kind == "swap":
@@ -241,12 +245,12 @@ class _Writer:
             return self._draw_occluder(visit, spots, pieces, names, before, failed)
         if kind == "appear":
             for piece in self._pool:
-                if piece.id in names or self._placer.model(piece).label in labels or _is_screen(piece):
+                if piece.id in names or self._placer.model(piece).label in labels or is_screen(piece):
                     continue
                 found = spots.draw(self._rng, piece, pieces)
                 if found is not None:
                     new, at = found
-                    return _Draft(kind, (_appear(piece, at, visit, kind),), new=(new,), places=(at,))
+                    return _Draft(kind, (appear_change(piece, at, visit, kind),), new=(new,), places=(at,))
             return None
         for old in self._movable(pieces, names, labels, before):
             if (kind, old.name) in failed:
@@ -265,7 +269,7 @@ class _Writer:
             )
             if found is not None:
                 new, at = found
-                return _Draft(kind, (_relocate(old.name, at, visit, kind),), (old,), (new,), (at,))
+                return _Draft(kind, (relocate_change(old.name, at, visit, kind),), (old,), (new,), (at,))
         return None
 
     def _movable(
@@ -292,7 +296,9 @@ class _Writer:
             places = (self._places[second], self._places[first])
             others = {name: p for name, p in self._pieces.items() if name not in (first, second)}
             new = tuple(self._placer.place(p.piece, at, others) for p, at in zip(old, places, strict=True))
-            changes = tuple(_relocate(p.name, at, visit, "swap") for p, at in zip(old, places, strict=True))
+            changes = tuple(
+                relocate_change(p.name, at, visit, "swap") for p, at in zip(old, places, strict=True)
+            )
             return _Draft("swap", changes, old, new, places)
         return None
 
@@ -306,7 +312,7 @@ class _Writer:
         failed: set[tuple[str, str]],
     ) -> _Draft | None:
         """A screen between a stop and a thing that no other stop shows."""
-        screen = next((p for p in self._pool if _is_screen(p) and p.id not in names), None)
+        screen = next((p for p in self._pool if is_screen(p) and p.id not in names), None)
         if screen is None:
             return None
         fit = [p for p in pieces.values() if p.name not in names and p.name in self._pieces]
@@ -329,7 +335,7 @@ class _Writer:
                 new = spots.standing(screen, where, pieces)
                 if new is not None:
                     failed.add(("occluder", target.name))  # each thing is tried once
-                    change = _appear(screen, where, visit, "occluder")
+                    change = appear_change(screen, where, visit, "occluder")
                     return _Draft("occluder", (change,), new=(new,), places=(where,), hides=target)
         return None
 
@@ -338,11 +344,11 @@ class _Writer:
             level = float(self._rng.choice(_LIGHTS))
             self._keep(kind, [LightChange(kind="light", level=level, before_visit=visit, tag=kind)])
             return
-        scene = _scripted(self._scene, self._changes)
+        scene = scripted(self._scene, self._changes)
         open_now = [door for door in scene.doors if door.name not in closed_doors(scene, visit)]
         for index in self._rng.permutation(len(open_now)):
             change = DoorChange(kind="door", door=open_now[int(index)].name, before_visit=visit, tag=kind)
-            trial = _scripted(self._scene, [*self._changes, change])
+            trial = scripted(self._scene, [*self._changes, change])
             stops, left = len(tour_of(scene, visit)), len(tour_of(trial, visit))
             if not stops / 2 <= left < stops:
                 continue
@@ -360,7 +366,7 @@ class _Writer:
         self._places |= {piece.name: at for piece, at in zip(draft.new, draft.places, strict=True)}
         self._used |= draft.names
         self._labels |= {
-            piece.model.label for piece in (*draft.old, *draft.new) if not _is_screen(piece.piece)
+            piece.model.label for piece in (*draft.old, *draft.new) if not is_screen(piece.piece)
         }
         self._keep(draft.kind, draft.changes)
 
@@ -386,86 +392,3 @@ def _is_move(old: Placed, new: Placed, *, near: bool) -> bool:
         size = float(np.linalg.norm(old.solid.half))
         return max(NEAR_M[0], size) <= distance <= max(NEAR_M[1], 2 * size) and old.room == new.room
     return distance >= FAR_M or (old.room != new.room and distance >= NEAR_M[1])
-
-
-def _plain(scene: Scene) -> Scene:
-    """The scene without its own script; queries that ask for what only the script brings go with it."""
-    kept = {piece.id for piece in scene.furniture}
-    queries = tuple(query for query in scene.queries if set(query.targets) <= kept)
-    return Scene.model_validate({**dict(scene), "changes": (), "queries": queries})
-
-
-def _scripted(scene: Scene, changes: Sequence[Change]) -> Scene:
-    return Scene.model_validate({**dict(scene), "changes": tuple(changes)})
-
-
-def _with_twins(
-    scene: Scene, library: FurnitureLibrary, rng: np.random.Generator, wanted: int
-) -> tuple[Scene, list[tuple[str, str]]]:
-    """The scene with pairs of one category that differ in model and colour, and the pairs.
-
-    Nothing else tells the swap of two things of one kind; so one of them becomes another model of the same
-    category, at the size that it had.
-    """
-    loaded = {piece.on for piece in scene.furniture}
-    by_category: dict[str, list[Piece]] = {}
-    for piece in scene.furniture:
-        model = library.model(piece.category, model=piece.model, size=piece.size)
-        movable = model.movable if piece.movable is None else piece.movable
-        if movable and piece.id not in loaded and len(library.models(piece.category)) > 1:
-            by_category.setdefault(piece.category, []).append(piece)
-    categories = [name for name, pieces in by_category.items() if len(pieces) > 1]
-    changed: dict[str, Piece] = {}
-    pairs = []
-    for index in rng.permutation(len(categories)):
-        pieces = by_category[categories[int(index)]]
-        order = rng.permutation(len(pieces))
-        first, second = pieces[int(order[0])], pieces[int(order[1])]
-        models = library.models(first.category)
-        own = first.model or models[0]
-        other = str(rng.choice([name for name in models if name != own]))
-        size = library.model(first.category, model=first.model, size=first.size).size
-        changed[second.id] = second.model_copy(update={"model": other, "size": size})
-        pairs.append((first.id, second.id))
-        if len(pairs) >= 3 * wanted:
-            break
-    furniture = tuple(changed.get(piece.id, piece) for piece in scene.furniture)
-    return Scene.model_validate({**dict(scene), "furniture": furniture}), pairs
-
-
-def _new_pieces(scene: Scene, rng: np.random.Generator) -> list[Piece]:
-    """Things that may appear, in random order, with free ids."""
-    names = [_NEW[int(i)] for i in rng.permutation(len(_NEW))]
-    at = _anywhere(scene).at
-    return [Piece(id=_free_id(scene, name, 1), category=name, at=at, z=0.0) for name in names]
-
-
-def _screens(scene: Scene, count: int) -> list[Piece]:
-    at = _anywhere(scene).at
-    return [
-        Piece(id=_free_id(scene, "box", 2 + i), category="box", size=_SCREEN, at=at, z=0.0)
-        for i in range(count)
-    ]
-
-
-def _is_screen(piece: Piece) -> bool:
-    return piece.size == _SCREEN
-
-
-def _free_id(scene: Scene, category: str, step: int) -> str:
-    stem = category.replace(" ", "_")
-    numbers = [int(p.id.rpartition("-")[2]) for p in scene.pieces() if p.id.rpartition("-")[0] == stem]
-    return f"{stem}-{max(numbers, default=0) + step}"
-
-
-def _anywhere(scene: Scene) -> Placement:
-    return Placement(at=scene.rooms[0].center, z=0.0)
-
-
-def _appear(piece: Piece, at: Placement, visit: int, tag: str = "") -> Appear:
-    placed = Piece.model_validate({**dict(piece), **dict(at)})
-    return Appear(kind="appear", piece=placed, before_visit=visit, tag=tag)
-
-
-def _relocate(name: str, to: Placement, visit: int, tag: str) -> Relocate:
-    return Relocate(kind="relocate", object=name, to=to, before_visit=visit, tag=tag)

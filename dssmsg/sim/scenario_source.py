@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dssmsg.sim.camera import make_renderer
 from dssmsg.sim.furniture import FurnitureLibrary
+from dssmsg.sim.robot import RobotSpec
 from dssmsg.sim.scenario import generate_scenario
 from dssmsg.sim.scenario_views import TourViews
 from dssmsg.sim.scene import Scene, load_scene
@@ -32,18 +33,20 @@ def scripted_scene(
     counts: Mapping[str, int] | None = None,
     visits: int = 2,
     renderer: str = "auto",
+    robot: RobotSpec | None = None,
     base_dir: Path | None = None,
 ) -> ScriptedScene:
     """What the options of the same names of the source `pybullet` come to.
 
-    `changes` is `script`, `none` or `generated:<seed>`; with `none` the script stays in the scene, unheeded.
+    `changes` is `script`, `none` or `generated:<seed>`; with `none` the script stays in the scene,
+    unheeded. What `robot` sees decides where generated changes are made.
     Raises ConfigError and InputError as `load_scene`, `FurnitureLibrary.open` and `make_renderer` do.
     """
     scene = load_scene(name, base_dir=base_dir)
     library = FurnitureLibrary.open(assets)
     if not changes.startswith(GENERATED):
         return ScriptedScene(scene, library, "none" if changes == "none" else "the scene's script")
-    views = TourViews(make_renderer(renderer)[0], make_renderer(renderer)[0])
+    views = TourViews(make_renderer(renderer)[0], make_renderer(renderer)[0], robot)
     try:
         seed = int(changes.removeprefix(GENERATED))
         made = (

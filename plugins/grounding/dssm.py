@@ -6,7 +6,8 @@
 
 The last four go beyond the paper and ask about the one object that is taken for the core target: is it the
 best match of the map, do the named relations hold for it, does it look as described, is it seen well from
-here. With all four weights 0 the paper's formula is left, and the core is matched like any other node.
+here. With all four weights 0 the paper's formula is left, and the core is matched like any other node. Where a
+sentence only names a need, its relations are the language model's guesses and count `guessed` times as much.
 """
 
 from __future__ import annotations
@@ -61,6 +62,12 @@ class Config(PluginConfig):
     )
     core_weight: float = Field(1.0, ge=0, description="Weight of how well the core target itself matches.")
     relation_weight: float = Field(1.0, ge=0, description="Weight of named relations held against geometry.")
+    guessed: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Share of relation_weight where a sentence names a need: company is guessed.",
+    )
     attribute_weight: float = Field(0.5, ge=0, description="Weight of colours and sizes of the core target.")
     view_weight: float = Field(0.3, ge=0, description="Weight of how large the core target is in the image.")
     vanished: float = Field(
@@ -178,8 +185,9 @@ class DssmGrounding:
         s_node = node_score(similarity)
         unlimited = self._config.is_paper or not allowed[core].any()
         best: _Scored | None = None
-        for place, beyond in [(UNMATCHED, {})] if unlimited else self._cores(query, subgraph, allowed[core]):
-            extra = sum(beyond.values())
+        for place, terms, extra in (
+            [(UNMATCHED, {}, 0.0)] if unlimited else self._cores(query, subgraph, allowed[core])
+        ):
             # s_top is at most 1: what cannot reach the best any more needs no matching.
             if best is not None and s_node + 1.0 + extra < best.scores["score"]:
                 break
@@ -191,8 +199,7 @@ class DssmGrounding:
             scores = {
                 "score": s_graph + extra, "s_graph": s_graph, "s_node": s_node, "s_top": match.score,
                 "similarity": match.similarity,
-                **{name: value / weight for (name, value), weight in zip(
-                    beyond.items(), self._weights(), strict=False) if weight},
+                **terms,
             }  # fmt: skip
             chosen = int(match.columns[core])
             one = _Scored(subgraph, scores, match, chosen, self._distance(query, subgraph, chosen))
@@ -203,26 +210,33 @@ class DssmGrounding:
         assert best is not None
         return best
 
-    def _weights(self) -> tuple[float, ...]:
+    def _weights(self, target: TargetGraph) -> dict[str, float]:
+        """The terms that are asked for, with their weights."""
         own = self._config
-        return own.core_weight, own.relation_weight, own.attribute_weight, own.view_weight
+        weights = {
+            "s_core": own.core_weight,
+            "s_relation": own.relation_weight * (own.guessed if target.kind == "implicit" else 1.0),
+            "s_attribute": own.attribute_weight,
+            "s_view": own.view_weight,
+        }
+        return {name: weight for name, weight in weights.items() if weight}
 
     def _cores(
         self, query: _Query, subgraph: Subgraph, allowed: MaskArray
-    ) -> list[tuple[int, dict[str, float]]]:
-        """Places of the things that may be the core, with their weighted terms, largest sum first."""
+    ) -> list[tuple[int, dict[str, float], float]]:
+        """Places of the things that may be the core, with their terms and the weighted sum, largest first."""
+        weights = self._weights(query.target)
         found = []
-        for place in np.flatnonzero(allowed):
+        for place in np.flatnonzero(allowed).tolist():
             one = int(subgraph.things[place])
             seen = self._seen(query.things[one], subgraph.viewpoint_id)
-            terms = (query.core[one], query.relation[one], query.attribute[one], seen)
-            names = ("s_core", "s_relation", "s_attribute", "s_view")
-            weighted = {
-                name: weight * float(term)
-                for name, weight, term in zip(names, self._weights(), terms, strict=True)
-            }
-            found.append((int(place), weighted))
-        return sorted(found, key=lambda entry: (-sum(entry[1].values()), entry[0]))
+            terms = {
+                "s_core": float(query.core[one]), "s_relation": float(query.relation[one]),
+                "s_attribute": float(query.attribute[one]), "s_view": seen,
+            }  # fmt: skip
+            asked = {name: terms[name] for name in weights}
+            found.append((place, asked, sum(weights[name] * term for name, term in asked.items())))
+        return sorted(found, key=lambda entry: (-entry[2], entry[0]))
 
     def _seen(self, thing: Thing, viewpoint_id: str) -> float:
         """0..1: how large a thing is in the image of a viewpoint; 0 where the camera is not known."""

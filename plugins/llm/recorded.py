@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
 from dssmsg.errors import PluginError
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
+from dssmsg.interfaces import Encoder
 from dssmsg.interfaces.llm import Answer, Message
 from dssmsg.llm_requests import parse_answer, request_hash
 
@@ -26,6 +28,11 @@ class Config(PluginConfig):
         description="The .rrd file whose answers are given again (relative to the configuration file), or a "
         "folder: its newest."
     )
+
+    def problems(self, base_dir: Path, encoder: Encoder | None) -> Sequence[str]:
+        """What this machine lacks, for `dssmsg doctor`."""
+        path = base_dir / self.recording
+        return [] if path.exists() else [f"recording: {path}: no such file or folder"]
 
 
 class Recorded:

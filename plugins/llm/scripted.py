@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
@@ -15,6 +16,7 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from dssmsg.config_yaml import read_yaml
 from dssmsg.errors import ConfigError, PluginError
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
+from dssmsg.interfaces import Encoder
 from dssmsg.interfaces.llm import Answer, Message
 from dssmsg.llm_requests import parse_answer
 
@@ -42,6 +44,12 @@ class Config(PluginConfig):
         if bool(self.answers) == (self.file is not None):
             raise ValueError("expected either answers or file")
         return self
+
+    def problems(self, base_dir: Path, encoder: Encoder | None) -> Sequence[str]:
+        """What this machine lacks, for `dssmsg doctor`."""
+        if self.file is None or (base_dir / self.file).is_file():
+            return []
+        return [f"file: {base_dir / self.file}: no such file"]
 
 
 class Scripted:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -44,6 +44,8 @@ _FIRST_M = 3.0
 """Further off than this only the very nearest is."""
 _LAST_RESORT_M = 20.0
 """A way round may be this much longer than the straight one where no other edge leads to the goal."""
+_TIGHT_M = 0.015
+"""And through gaps that leave so little beside the robot."""
 _MAX_DETOURS = 4
 """More detours than this on the way to one waypoint lead nowhere."""
 
@@ -85,8 +87,9 @@ class _Drive:
     """Where a drive stands. `path`: waypoints still to visit; `behind`: the one left last.
 
     `corners`: what is left of a detour, which leads to the way's point `leg`; `unreachable`: waypoints that
-    could not be got to from where the robot stood without an edge to blame; `avoided`: what the detour leads
-    round; `found`: what is being looked at before its edge is given up.
+    could not be got to from where the robot stood without an edge to blame; `closed`: edges that the drive
+    gave up itself; `avoided`: what the detour leads round; `found`: what is being looked at before its edge
+    is given up.
     """
 
     goals: tuple[str, ...] = ()
@@ -99,6 +102,7 @@ class _Drive:
     corners: tuple[Point, ...] = ()
     leg: int = 0
     unreachable: set[str] = field(default_factory=set)
+    closed: set[tuple[str, str, str]] = field(default_factory=set)
     avoided: _Obstacle | None = None
     found: _Obstacle | None = None
     inspecting: Gazes | None = None
@@ -138,6 +142,7 @@ class Dijkstra:
         )
         self._round = DetourOptions(radius=config.robot_radius)
         self._far_round = replace(self._round, extra=_LAST_RESORT_M)
+        self._squeezing = replace(self._far_round, margin=_TIGHT_M)
         self._seen: tuple[int, int] | None = None
         self._now = _Drive()
 
@@ -182,18 +187,20 @@ class Dijkstra:
             near = nearest_waypoints(self._graph, x, y, _FIRST_WAYPOINTS + len(now.unreachable))
             free = [name for name in near if name not in now.unreachable]
             starts = tuple(n for n in free if n == free[0] or math.dist((x, y), self._xy(n)) <= _FIRST_M)
-        for goal in now.goals:
+        # Where no way is open, one over candidates is tried that this drive has not found blocked itself:
+        # what stood there may be gone, and only who goes there sees it.
+        hopeful: tuple[Callable[[Edge], bool] | None, ...] = (None, self._may_be_open)
+        for try_blocked, goal, start in itertools.product(hopeful, now.goals, starts):
             viewpoint = self._graph.viewpoints.get(goal)
             if viewpoint is None:
                 continue
-            for start in starts:
-                path = shortest_path(self._graph, start, viewpoint.waypoint_id)
-                if path is None:
-                    continue
-                now.goal, now.path, now.planned, now.detours = goal, path, True, 0
-                if now.behind is None and len(path) > 1 and self._is_between(x, y, path[0], path[1]):
-                    now.behind, now.path = path[0], path[1:]
-                return None
+            path = shortest_path(self._graph, start, viewpoint.waypoint_id, try_blocked=try_blocked)
+            if path is None:
+                continue
+            now.goal, now.path, now.planned, now.detours = goal, path, True, 0
+            if now.behind is None and len(path) > 1 and self._is_between(x, y, path[0], path[1]):
+                now.behind, now.path = path[0], path[1:]
+            return None
         if not now.goals:
             return self._end(frame, "no path", "no goal was given")
         after = f" after {now.replans} blocked edges" if now.replans else ""
@@ -201,6 +208,9 @@ class Dijkstra:
             return self._end(frame, "blocked", f"no waypoint can be reached from here{after}")
         place = starts[0] if starts else "nowhere"
         return self._end(frame, "no path", f"from {place} to {', '.join(now.goals)}{after}")
+
+    def _may_be_open(self, edge: Edge) -> bool:
+        return edge_key(edge.source, edge.target) not in self._now.closed
 
     # -- driving ------------------------------------------------------------------------------------------
 
@@ -215,7 +225,10 @@ class Dijkstra:
                     now.avoided = found
                 detour = None
                 if self._config.detour and now.detours < _MAX_DETOURS:
-                    detour = find_detour(self._grid, here, way, self._detour_options())
+                    options = self._detour_options()
+                    detour = find_detour(self._grid, here, way, options)
+                    if detour is None and options is self._far_round:
+                        detour = find_detour(self._grid, here, way, self._squeezing)
                 if detour is None:
                     now.corners, now.leg = (), 0
                     return self._blocked(frame, here, way)
@@ -314,6 +327,7 @@ class Dijkstra:
             return Step(self._stop(frame), "replan", detail=detail, at_stop=at_stop)
         if found.leg > 0:
             now.behind = None  # the waypoint before the edge is ahead: the way there is planned from here
+        now.closed.add(edge_key(edge.source, edge.target))
         change = EdgeChanged(
             cause=Cause(PLUGIN, "obstacle"),
             scores=(

@@ -74,6 +74,7 @@ class SimulatedSource:
         from dssmsg.sim.tour import check_tour, tour_of
         from dssmsg.sim.world import World
 
+        spec = RobotSpec(camera_height=config.camera_height, camera_forward=config.camera_forward)
         scripted = scripted_scene(
             config.scene,
             assets=config.assets,
@@ -81,13 +82,13 @@ class SimulatedSource:
             counts={str(kind): count for kind, count in config.change_counts.items()},
             visits=config.visits,
             renderer=config.renderer,
+            robot=spec,
             base_dir=context.base_dir,
         )
         library = scripted.library
         scene = with_obstacles(scripted.scene, config.obstacles, library)
         self._noise = make_noise(config.noise)
         renderer, renderer_note = make_renderer(config.renderer)
-        spec = RobotSpec(camera_height=config.camera_height, camera_forward=config.camera_forward)
         self._world = World(scene, library, renderer, robot=spec, scripted=config.changes != "none")
         try:
             check_tour(scene, self._world.layout, self._world.placer, config.visits)

@@ -1,0 +1,122 @@
+"""The rolling floor plan, ways over costs, and ways round what stands in the plan."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_navigation import Robot, wall
+
+from dssmsg.navigation.astar import cheapest_way
+from dssmsg.navigation.detour import find_detour, is_clear
+from dssmsg.navigation.grid import RollingGrid
+
+
+def look(grid, robot, times=2):
+    for _ in range(times):
+        grid.observe(robot.frame())
+    return grid
+
+
+def test_a_post_is_seen_and_the_floor_before_it_is_free():
+    robot = Robot(0.0, 0.0)
+    robot.tilt, robot.posts = -0.35, [(2.0, 0.0)]
+    grid = look(RollingGrid(), robot)
+    strip = grid.corridor((0.0, 0.0), (2.5, 0.0), 0.15)
+    assert strip.obstacle == pytest.approx((1.9, 0.0), abs=0.15)
+    assert grid.corridor((1.0, 0.0), (1.7, 0.0), 0.15).free > 0.95
+    assert grid.corridor((1.0, 1.0), (1.7, 1.0), 0.15).obstacle is None
+
+
+def test_what_is_too_near_to_be_seen_is_remembered():
+    robot = Robot(0.0, 0.0)
+    robot.tilt, robot.posts = -0.35, [(2.0, 0.0)]
+    grid = look(RollingGrid(), robot)
+    robot.x, robot.heading = 1.5, math.pi
+    look(grid, robot, 5)
+    assert grid.corridor((1.5, 0.0), (2.2, 0.0), 0.15).obstacle is not None
+
+
+def test_what_went_away_is_seen_through():
+    robot = Robot(0.0, 0.0)
+    robot.tilt, robot.posts = -0.35, [(2.0, 0.0)]
+    grid = look(RollingGrid(), robot, 3)
+    robot.posts = []
+    look(grid, robot, 6)
+    strip = grid.corridor((1.0, 0.0), (2.5, 0.0), 0.15)
+    assert (strip.obstacle, strip.fresh > 0.9) == (None, True)
+
+
+def test_the_plan_forgets_what_leaves_it():
+    robot = Robot(0.0, 0.0)
+    robot.tilt, robot.posts = -0.35, [(2.0, 0.0)]
+    grid = look(RollingGrid(), robot)
+    robot.x = 20.0
+    look(grid, robot)
+    assert grid.cell((2.0, 0.0)) is None
+    robot.x, robot.posts = 0.0, []
+    look(grid, robot)
+    assert not grid.occupied.any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(data=st.data())
+def test_cheapest_way_costs_no_more_than_relaxation_finds(data):
+    """Against Bellman-Ford over the same neighbourhood."""
+    size = 6
+    cells = data.draw(st.lists(st.sampled_from([1.0, 2.0, 5.0, math.inf]), min_size=36, max_size=36))
+    cost = np.array(cells).reshape(size, size)
+    cost[0, 0] = cost[5, 5] = 1.0
+    best = np.full((size, size), math.inf)
+    best[0, 0] = 0.0
+    steps = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+
+    def price(x, y, i, j):
+        if not (0 <= x + i < size and 0 <= y + j < size):
+            return math.inf
+        if i and j and math.inf in (cost[x, y + j], cost[x + i, y]):
+            return math.inf
+        return math.hypot(i, j) * cost[x + i, y + j]
+
+    for _ in range(size * size):
+        for x, y in np.ndindex(size, size):
+            for i, j in steps:
+                step = price(x, y, i, j)
+                if step < math.inf and best[x, y] + step < best[x + i, y + j] - 1e-12:
+                    best[x + i, y + j] = best[x, y] + step
+    way = cheapest_way(cost, (0, 0), (5, 5))
+    if way is None:
+        assert best[5, 5] == math.inf
+        return
+    total = sum(price(*a, b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(way))
+    assert total == pytest.approx(best[5, 5])
+
+
+def test_cheapest_way_refuses_ends_outside():
+    with pytest.raises(IndexError, match="outside"):
+        cheapest_way(np.ones((3, 3)), (0, 0), (3, 0))
+
+
+def test_a_detour_rejoins_behind_the_obstacle_and_keeps_clear():
+    robot = Robot(0.0, 0.0)
+    robot.tilt, robot.posts = -0.35, [(1.5, 0.0)]
+    grid = look(RollingGrid(), robot)
+    detour = find_detour(grid, (0.0, 0.0), [(3.0, 0.0), (3.0, 2.0)])
+    assert detour is not None
+    assert is_clear(grid, (0.0, 0.0), detour.corners, 0.18)
+    assert detour.leg == 0
+    assert is_clear(grid, detour.corners[-1], [(3.0, 0.0)], 0.18)
+
+
+def test_a_wall_leaves_no_detour():
+    robot = Robot(0.0, 0.0)
+    robot.tilt, robot.posts = -0.35, wall(1.5, -3.2, 3.2)
+    grid = RollingGrid()
+    for heading in np.arange(-1.2, 1.21, 0.3):
+        robot.heading = float(heading)
+        look(grid, robot)
+    assert find_detour(grid, (0.0, 0.0), [(3.0, 0.0)]) is None

@@ -1,0 +1,191 @@
+"""Episodes: candidates in turn, judged by sight, limits, and every end with its name."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from floor_graph import CAUSE, FloorGraph
+from test_navigation import Robot
+
+from dssmsg.events import Candidate, EpisodeEnded, NavigationChanged
+from dssmsg.graph import changes as c
+from dssmsg.guard import Guard
+from dssmsg.interfaces import Command, Step
+from dssmsg.mission.seek import EpisodeLimits, Seeker
+
+ANSWER = {"kind": "explicit", "nodes": [{"label": "lamp"}], "edges": [], "core": 0}
+
+
+class Navigation:
+    """Drives 0.2 m a frame for `frames` frames, looks once, then says it is there; or ends otherwise."""
+
+    def __init__(self, frames=1, outcomes=()):
+        self.frames, self.outcomes, self.started = frames, list(outcomes), []
+
+    def start(self, frame, goals):
+        self.started.append(tuple(goals))
+        self.left = self.frames
+        self.outcome = self.outcomes.pop(0) if self.outcomes else "success"
+
+    def step(self, frame):
+        goal = self.started[-1][0]
+        if self.left > 0:
+            self.left -= 1
+            return Step(Command(1.0), "drive", goal=goal)
+        if self.outcome != "success":
+            return Step(Command(), "stop", outcome=self.outcome, goal=goal)
+        if self.left == 0:
+            self.left = -1
+            return Step(Command(), "look", goal=goal, at_stop=True)
+        return Step(Command(), "arrived", outcome="success", goal=goal)
+
+
+class World:
+    """Two lamps seen from two viewpoints each; `shows` are the objects that a look observes."""
+
+    def __init__(self, navigation, *, shows=(), answer=ANSWER, matches=None, **limits):
+        self.floor, self.robot = FloorGraph(), Robot(0.0, 0.0)
+        for x in range(4):
+            self.floor.waypoint(x, 0)
+        self.lamps = [
+            self.floor.thing("lamp", 1.0, 1.0, ["viewpoint-1.1", "viewpoint-2.1"]),
+            self.floor.thing("lamp", 3.0, 1.0, ["viewpoint-3.1", "viewpoint-4.1"]),
+        ]
+        self.shows, self.taken, self.told, self.contacts = shows, [], [], 0
+        if matches is None:
+            matches = [self.lamps[0], self.lamps[0], self.lamps[1], self.lamps[1]]
+        candidates = tuple(
+            Candidate(f"viewpoint-{i}.1", i, {"score": 1.0}, {"0": name}) for i, name in enumerate(matches, 1)
+        )
+        pipeline = SimpleNamespace(stage=lambda name: nullcontext(), apply_changes=lambda *a: None)
+        self.guard = Guard(report=self.told.append)
+        self.seeker = Seeker(
+            llm=SimpleNamespace(complete=lambda *a: SimpleNamespace(value=answer)),
+            grounding=SimpleNamespace(ground=lambda target: candidates),
+            navigation=navigation,
+            names={kind: f"{kind}/test" for kind in ("llm", "grounding", "navigation")},
+            graph=self.floor.graph,
+            pipeline=pipeline,
+            guard=self.guard,
+            bus=SimpleNamespace(tell=self.told.append),
+            capture=self.capture,
+            take=self.take,
+            collisions=lambda: self.contacts,
+            limits=EpisodeLimits(**limits),
+        )
+
+    def capture(self, command):
+        self.robot.step(command)
+        return self.robot.frame()
+
+    def take(self, frame, command):
+        self.taken.append(frame)
+        for name in self.shows if frame.at_stop else ():
+            node = self.floor.graph.objects[name]
+            merged = c.ObjectMerged(
+                cause=CAUSE,
+                object_id=name,
+                label=node.label,
+                score=1.0,
+                points=node.points,
+                colors=np.zeros((len(node.points), 3), np.uint8),
+                viewpoint_id=None,
+                range_m=1.0,
+            )
+            self.floor.graph.apply_all([merged], frame.index, frame.sim_time)
+
+    def seek(self):
+        with self.guard:
+            ended, _frame = self.seeker.seek(0, "the lamp", self.robot.frame())
+        assert isinstance(ended, EpisodeEnded)
+        assert (ended.outcome == "success") == (ended.reason == "")
+        return ended
+
+
+def states(world):
+    return [event.state for event in world.told if isinstance(event, NavigationChanged)]
+
+
+def test_it_ends_when_the_target_is_seen():
+    world = World(Navigation(), shows=["object-1"])
+    ended = world.seek()
+    assert ended.outcome == "success"
+    assert states(world)[-1] == "seen"
+    assert [frame.at_stop for frame in world.taken] == [True]
+    assert ended.values["viewpoints"] == 1.0
+    assert ended.values["metres"] == pytest.approx(0.2)
+
+
+def test_another_object_of_the_name_will_do():
+    assert World(Navigation(), shows=["object-2"]).seek().outcome == "success"
+
+
+def test_what_is_not_there_is_looked_for_twice_then_the_next_candidate():
+    navigation = Navigation()
+    ended = World(navigation).seek()
+    assert ended.reason == "wrong match"
+    assert [goals[0] for goals in navigation.started] == [f"viewpoint-{i}.1" for i in (1, 2, 3, 4)]
+    navigation = Navigation()
+    assert World(navigation, matches=["object-1"] * 4).seek().reason == "wrong match"
+    assert len(navigation.started) == 2
+
+
+def test_no_more_candidates_than_allowed():
+    navigation = Navigation()
+    World(navigation, candidates=3).seek()
+    assert len(navigation.started) == 3
+
+
+def test_vanished_objects_come_last():
+    navigation = Navigation()
+    world = World(navigation)
+    world.floor.add(c.ObjectChanged(cause=CAUSE, object_id="object-1", values={"state": "disappeared"}))
+    world.seek()
+    assert navigation.started[0][0] == "viewpoint-3.1"
+
+
+@pytest.mark.parametrize("reason", ["no path", "blocked", "stuck"])
+def test_the_end_of_the_drive_is_the_end_of_the_episode(reason):
+    assert World(Navigation(outcomes=[reason])).seek().reason == reason
+
+
+def test_after_a_look_in_vain_no_path_is_a_wrong_match():
+    assert World(Navigation(outcomes=["success", "no path"])).seek().reason == "wrong match"
+
+
+def test_a_touch_ends_it_whatever_is_seen():
+    world = World(Navigation(frames=3), shows=["object-1"])
+
+    def take(frame, command):
+        world.contacts += 1
+
+    world.seeker.take = take
+    ended = world.seek()
+    assert (ended.reason, ended.values["frames"]) == ("collision", 1.0)
+
+
+@pytest.mark.parametrize("limits", [{"secs": 2.0}, {"metres": 2.1}])
+def test_time_and_way_are_limited(limits):
+    ended = World(Navigation(frames=200), **limits).seek()
+    assert ended.reason == "out of time"
+    assert ended.values["frames"] == 11.0
+
+
+def test_the_end_of_the_frames_is_out_of_time():
+    world = World(Navigation(frames=5))
+    world.seeker.capture = lambda command: None
+    assert world.seek().reason == "out of time"
+
+
+def test_no_target_graph_and_no_match():
+    assert World(Navigation(), answer={**ANSWER, "core": 7}).seek().reason == "no target graph"
+    assert World(Navigation(), matches=[]).seek().reason == "no match"
+
+
+def test_a_plugin_that_fails_ends_it():
+    navigation = Navigation()
+    navigation.step = lambda frame: 1 / 0
+    assert World(navigation).seek().reason == "navigation failed"
