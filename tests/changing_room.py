@@ -21,6 +21,7 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.waypoints import WaypointTopology
 from dssmsg.lift import Lifter
 from dssmsg.mission.pipeline import object_ids_of
+from dssmsg.recording.repair import optimize
 from dssmsg.recording.writer import RecordingWriter
 
 STANDS = ((-1.0, -0.8), (-0.8, 0.8))
@@ -128,6 +129,7 @@ class ChangingRoom:
         for event in (run.started(), PhaseStarted("survey", 0, 0, 0.0), *self.events, run.finished()):
             writer.write(event)
         writer.close()
+        optimize(path)
         return path
 
     def named(self, label):

@@ -135,18 +135,18 @@ def test_generated_homes_are_listed():
 
 @pytest.fixture(scope="module")
 def flat():
-    return Home("ihlen_1_int", "embedded")
+    return Home("rs_int", "embedded")
 
 
 def test_cases_are_the_same_for_a_seed_and_can_be_solved(flat):
-    case = make_case(flat, 3, 6, 2)
-    again = make_case(flat, 3, 6, 2)
+    case = make_case(flat, 3, 6, 1)
+    again = make_case(flat, 3, 6, 1)
     assert (case.goals, case.obstacles) == (again.goals, again.obstacles)
-    assert case.goals != make_case(flat, 4, 6, 2).goals
+    assert case.goals != make_case(flat, 4, 6, 0).goals
     assert len(case.goals) == 6
     assert case.obstacles
     there = flat.unchanged()
-    assert "mug-1" not in there  # it disappears
+    assert "mug-2" not in there  # it disappears
     assert all(there & set(goal.targets) for goal in possible_goals(flat))
     assert not any(set(a.targets) & set(b.targets) for a, b in zip(case.goals, case.goals[1:], strict=False))
     scene = with_obstacles(flat.scene, case.obstacles, flat.library)
@@ -158,23 +158,32 @@ def test_cases_are_the_same_for_a_seed_and_can_be_solved(flat):
 
 
 def test_shortest_way(flat):
-    assert flat.shortest((4.75, 2.45), [(3.0, 2.2)]) == pytest.approx(1.77, abs=0.1)
-    assert flat.shortest((4.75, 2.45), []) is None
+    assert flat.shortest((2.85, 3.65), [(3.0, 2.2)]) == pytest.approx(1.46, abs=0.1)
+    assert flat.shortest((2.85, 3.65), []) is None
+
+
+ROOM = """
+name: room
+rooms:
+  - {name: room, type: living room, x: [0, 5], y: [0, 3]}
+furniture:
+  - {id: sofa-1, category: sofa, wall: room.north, along: 1.2}
+  - {id: table-1, category: table, at: [4.3, 1.5], size: [0.8, 1.0, 0.75]}
+tour:
+  - {name: a, at: [1.2, 1.0], views: [[90, 0]]}
+  - {name: b, at: [2.6, 1.2], views: [[0, -25]]}
+"""
 
 
 def test_an_evaluation_is_driven_once(tmp_path):
-    """The tiny way: a survey of two stops cannot be had, so one goal in a generated home, seen or not."""
-    options = {"scenes": ["generated:1"], "perception": "oracle", "episodes": 1, "obstacles": 0}
-    sets = [
-        "source.assets=embedded",
-        "source.noise=none",
-        "grounding.use=objects",
-        "mission.views_per_heading=1",
-    ]
+    """A room with two stops: the survey and one goal."""
+    (tmp_path / "room.yaml").write_text(ROOM)
+    options = {"scenes": [str(tmp_path / "room.yaml")], "perception": "oracle", "episodes": 1, "obstacles": 0}
+    sets = ["source.assets=embedded", "source.noise=none", "grounding.use=objects"]
     first = evaluate_navigation(tmp_path, sets=sets, **options)
     lines = []
     again = evaluate_navigation(tmp_path, sets=sets, progress=lines.append, **options)
     assert again == first
     assert len(first) == len(lines) == 1
-    assert first[0].judged.outcome in ("success", "failure", "void")
-    assert not first[0].judged.collisions
+    assert first[0].judged.outcome == "success"
+    assert first[0].shortest is not None

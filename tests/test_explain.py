@@ -4,6 +4,7 @@ import json
 
 import pytest
 from changing_room import ChangingRoom
+from rerun.chunk import RrdReader
 from test_update_dssm import BALL, ROOM, box
 from typer.testing import CliRunner
 
@@ -69,6 +70,26 @@ def test_the_command_prints_lines_or_json(moved):
     told = json.loads(runner.invoke(app, ["explain", str(path), "--object", ball, "--json"]).stdout)
     assert told["object"] == ball
     assert {"frames", "sim_time", "what", "scores"} <= set(told["events"][0])
+
+
+def test_the_viewer_gets_each_window_as_a_table_and_pictures_with_its_verdict(moved):
+    path, ball, _, _revisit = moved
+    texts, pictures = [], {"/window/before": 0, "/window/now": 0}
+    for chunk in RrdReader(path).stream():
+        if not chunk.entity_path.startswith("/window"):
+            continue
+        batch = chunk.to_record_batch()
+        for name in batch.schema.names:
+            cells = [cell for cell in batch.column(name).to_pylist() if cell]
+            if name == "TextDocument:text":
+                texts += [cell[0] for cell in cells]
+            elif name == "EncodedImage:blob":
+                pictures[chunk.entity_path] += len(cells)
+    (gone,) = [text for text in texts if f"ball ({ball}): disappeared" in text]
+    assert "**missed**" in gone
+    assert "comparison |" in gone
+    assert "base |" in gone
+    assert pictures["/window/before"] == pictures["/window/now"] >= 2
 
 
 def test_an_unknown_object_is_named_with_those_there_are(moved):

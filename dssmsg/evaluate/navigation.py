@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -120,7 +121,8 @@ def _one_survey(
     with run.naming_files():
         host = Host.load(run.plugins, run.base_dir)
         host.check(run)
-    folder = work / f"navigation-{scene.replace(':', '_')}-{perception}-{seed}-{_fingerprint(run, host)}"
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", Path(scene).name)
+    folder = work / f"navigation-{name}-{perception}-{seed}-{_fingerprint(run, host)}"
     finished = folder / "episodes.json"
     if finished.is_file():
         return [_episode(row) for row in json.loads(finished.read_text("utf-8"))]

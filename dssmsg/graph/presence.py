@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dssmsg.frame import ByteArray, FloatArray, MaskArray
+from dssmsg.frame import ByteArray, Float32Array, FloatArray
 from dssmsg.geometry import transform_points
 from dssmsg.graph.colors import color_similarity, mean_value
 from dssmsg.graph.evidence import PlaceSight, SightRule, View, is_thin, look_at, sampled, telling, verdict_of
@@ -61,6 +61,7 @@ class Presence:
         self._rule = rule
         self._colors = colors
         self._runs: dict[str, _Runs] = {}
+        self._left: dict[str, tuple[Float32Array, ByteArray]] = {}
         self.gain: float | None = None
         """How much brighter than the stored colours this visit's light is; None before anything tells."""
 
@@ -80,17 +81,14 @@ class Presence:
             for node in (self._graph.objects.get(object_id) for object_id in sorted(ids, key=id_order))
             if node is not None and node.state != DISAPPEARED
         ]
-        high: dict[str, MaskArray] = {node.id: telling(node.points) for node in nodes}
-        sights = {
-            node.id: look_at(node.points[high[node.id]], view, self._noise, self._rule) for node in nodes
-        }
-        colors = {
-            node.id: self._seen_colors(node.colors[high[node.id]], sights[node.id], view) for node in nodes
-        }
+        clouds = {node.id: self._cloud(node) for node in nodes}
+        sights = {node.id: look_at(clouds[node.id][0], view, self._noise, self._rule) for node in nodes}
+        colors = {node.id: self._seen_colors(clouds[node.id][1], sights[node.id], view) for node in nodes}
         self._follow_light(colors)
         found = []
         for node in nodes:
-            evidence = self._evidence(node, sights[node.id], colors[node.id], view, node.id in observed)
+            sight = self._without_neighbours(node, clouds[node.id][0], sights[node.id])
+            evidence = self._evidence(node, sight, colors[node.id], view, node.id in observed)
             if self._literal and evidence.verdict != SEEN:
                 verdict = MISSED if node.id in expected else UNKNOWN
                 evidence = replace(evidence, verdict=verdict)
@@ -110,9 +108,14 @@ class Presence:
         runs = self._runs.get(object_id)
         return () if runs is None else runs.other
 
+    def end_visit(self) -> None:
+        """Remember every object as this visit leaves it."""
+        self._left = {node.id: (node.points, node.colors) for node in self._graph.objects.values()}
+
     def forget(self, object_id: str) -> None:
-        """Start anew with an object."""
+        """Start anew with an object: it is elsewhere, or another thing."""
         self._runs.pop(object_id, None)
+        self._left.pop(object_id, None)
 
     # -----------------------------------------------------------------------------------------------------
 
@@ -124,7 +127,6 @@ class Presence:
         view: View,
         observed: bool,
     ) -> Evidence:
-        sight = self._without_neighbours(node, sight)
         values = sight.values()
         if colors is not None and self.gain is not None:
             values["s_rgb"] = round(color_similarity(colors[0], colors[1], 1.0 / self.gain), 4)
@@ -137,7 +139,16 @@ class Presence:
             verdict = MISSED
         return Evidence(view.frame, node.id, verdict, values)
 
-    def _without_neighbours(self, node: ObjectNode, sight: PlaceSight) -> PlaceSight:
+    def _cloud(self, node: ObjectNode) -> tuple[Float32Array, ByteArray]:
+        """Points and colours to ask: the thing as the last visit left it, without its underside.
+
+        What this visit merged into it may be another thing of its kind, in its place.
+        """
+        points, colors = self._left.get(node.id, (node.points, node.colors))
+        high = telling(points)
+        return points[high], colors[high]
+
+    def _without_neighbours(self, node: ObjectNode, cloud: Float32Array, sight: PlaceSight) -> PlaceSight:
         """The sight without points that lie on another object's surface.
 
         A detection that took in a piece of the dresser behind a chair leaves it in the chair; there it
@@ -145,7 +156,7 @@ class Presence:
         """
         if not self._rule.free_share / 2 < sight.free < self._rule.free_share:
             return sight
-        points = sampled(node.points[telling(node.points)], self._rule.sample)[sight.on_surface]
+        points = sampled(cloud, self._rule.sample)[sight.on_surface]
         foreign = np.zeros(len(points), dtype=np.bool_)
         for object_id in self._graph.objects_touching(node.box_min, node.box_max):
             other = self._graph.objects[object_id]

@@ -6,8 +6,8 @@
 
 The last four go beyond the paper and ask about the one object that is taken for the core target: is it the
 best match of the map, do the named relations hold for it, does it look as described, is it seen well from
-here. With all four weights 0 the paper's formula is left, and the core is matched like any other node. Where a
-sentence only names a need, its relations are the language model's guesses and count `guessed` times as much.
+here. With all four weights 0 the paper's formula is left, and the core is matched like any other node. Where
+a sentence only names a need, its relations are guesses of the language model and count `guessed` times.
 """
 
 from __future__ import annotations

@@ -151,6 +151,7 @@ class DssmUpdate:
     def finish(self) -> UpdateResult:
         """A visit is over: what vanished and what arrived are paired; the first visit is the baseline."""
         self._windows.forget_removed()
+        self._presence.end_visit()
         if not self._baseline:
             return UpdateResult(tuple(self._take_baseline()))
         # What vanished meanwhile may have made room: asked once more.
@@ -372,6 +373,7 @@ class DssmUpdate:
         self._arrived.pop(new.id, None)
         self._new.pop(new.id, None)
         self._presence.forget(new.id)
+        self._presence.forget(old.id)
         scores = transitions.move_scores(score, needed, self._config.delta_sem)
         if self._same_place((old.box_min, old.box_max), (new.box_min, new.box_max)):
             verdicts[old.id] = "returned"
@@ -386,9 +388,14 @@ class DssmUpdate:
         yield from transitions.moved(old, new, state, self._ids.new("history"), cause, scores)
 
     def _same_place(self, a: tuple[FloatArray, FloatArray], b: tuple[FloatArray, FloatArray]) -> bool:
-        """3D IoU above delta_iou and centres closer than delta_c (paper III-B, L1)."""
+        """Centres closer than delta_c (paper III-B, L1), and boxes that touch.
+
+        The paper also wants a 3D IoU; of a thing just found again only one side is known, and two sides of
+        one thing may share next to nothing. `paper_exact` wants it.
+        """
         apart = float(np.linalg.norm((a[0] + a[1] - b[0] - b[1]) / 2.0))
-        return apart < self._config.delta_c and float(box_iou(*a, *b)) > self._config.delta_iou
+        least = self._config.delta_iou if self._config.paper_exact else 0.0
+        return apart < self._config.delta_c and float(box_iou(*a, *b)) > least
 
     # -- bookkeeping ----------------------------------------------------------------------------------------
 
