@@ -50,7 +50,7 @@ def test_default_names_a_plugin_for_every_place() -> None:
         "encoder": "minilm",
         "llm": "lexicon",
         "association": "dssm",
-        "update": "none",
+        "update": "dssm",
         "grounding": "dssm",
         "navigation": "dijkstra",
         "recording.observers.rerun": "rerun",

@@ -40,6 +40,7 @@ class ColorRule:
 class _Runs:
     free: list[int] = field(default_factory=list)
     other: list[int] = field(default_factory=list)
+    itself: int = -1
 
 
 class Presence:
@@ -107,6 +108,11 @@ class Presence:
         """The frames in a row in which it was matched by something of other colours."""
         runs = self._runs.get(object_id)
         return () if runs is None else runs.other
+
+    def last_itself(self, object_id: str) -> int:
+        """The last frame that showed it in place in its own colours; -1 if none did."""
+        runs = self._runs.get(object_id)
+        return -1 if runs is None else runs.itself
 
     def end_visit(self) -> None:
         """Remember every object as this visit leaves it."""
@@ -188,6 +194,7 @@ class Presence:
                 runs.other.append(evidence.frame)
             else:
                 runs.other.clear()
+                runs.itself = evidence.frame
 
     def _seen_colors(
         self, colors: ByteArray, sight: PlaceSight, view: View

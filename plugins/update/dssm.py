@@ -257,7 +257,7 @@ class DssmUpdate:
                 )
             )
             changes.append(transitions.appeared(new_id, cause, scores))
-            changes += self._vanish(node, "exchanged", frames[0] - 1, scores)
+            changes += self._vanish(node, "exchanged", self._presence.last_itself(object_id), scores)
             verdicts[object_id], verdicts[new_id] = DISAPPEARED, APPEARED
             self._arrived[new_id] = True
             self._not_it.add((object_id, new_id))
