@@ -26,7 +26,7 @@ from dssmsg.recording.reader import Recording
 from dssmsg.recording.writer import RecordingWriter
 from dssmsg.review.summary import summarize
 
-LAYOUT_BYTES = 100_000
+LAYOUT_BYTES = 140_000
 """A finished file begins with the viewer's layout and what never changes."""
 
 ENDLESS = """

@@ -24,7 +24,9 @@ from dssmsg.evaluate.dynamic_states import GraphWatch, States
 from dssmsg.evaluate.dynamic_truth import RunTruth, run_truth
 from dssmsg.evaluate.missions import recorded_mission
 from dssmsg.evaluate.replay_score import ReplayScore, score_replay
+from dssmsg.frame import Detection, Frame
 from dssmsg.host import Host
+from dssmsg.lift import Lifted, Lifter
 from dssmsg.mission.run import Mission
 from dssmsg.recording.reader import Recording
 
@@ -91,6 +93,20 @@ class Setup:
     sets: tuple[str, ...] = ()
 
 
+class KeptLifter(Lifter):
+    """Lifts each frame once: the methods are shown the same detections, so what is lifted is the same."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._kept: dict[int, Lifted] = {}
+
+    def lift(self, frame: Frame, detections: Sequence[Detection]) -> Lifted:
+        """What the first call for the frame gave."""
+        if frame.index not in self._kept:
+            self._kept[frame.index] = super().lift(frame, detections)
+        return self._kept[frame.index]
+
+
 Progress = Callable[[str], None]
 
 
@@ -151,6 +167,7 @@ def replay_case(setup: Setup, case: Case, methods: Sequence[Method]) -> list[Rep
     folder = path.parent
     scores: list[ReplayScore] = []
     truth: RunTruth | None = None
+    lifter = KeptLifter()
     for method in methods:
         replay = _replay_config(setup, case, method, path)
         host = _host(replay)
@@ -164,7 +181,7 @@ def replay_case(setup: Setup, case: Case, methods: Sequence[Method]) -> list[Rep
         began = perf_counter()
         watch = GraphWatch()
         with replay.naming_files():
-            mission = Mission(replay, host, [("scores", watch)])
+            mission = Mission(replay, host, [("scores", watch)], lifter=lifter)
             watch.graph = mission.graph
             summary = mission.run().summary
         score = score_replay(
@@ -228,6 +245,7 @@ def _replay_config(setup: Setup, case: Case, method: Method, recording: Path) ->
     sets = [
         *setup.sets,
         "source.use=recording",
+        "source.key_frames=true",
         f"source.recording={path}",
         "perception.use=recorded",
         f"perception.recording={path}",

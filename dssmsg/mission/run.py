@@ -78,6 +78,17 @@ def run_mission(
     return mission.run()
 
 
+def _check_visits(config: RunConfig, info: SourceInfo) -> None:
+    """Each visit needs its tour: a later one begins where the one before ended."""
+    visits = sum(phase != "seek" for phase in config.mission.phases)
+    if info.drivable and 1 < len(info.tours) < visits:
+        raise ConfigError(
+            f"asks for {visits} visits, the source has tours for {len(info.tours)}; "
+            f"set source.visits to {visits} or more",
+            key="mission.phases",
+        )
+
+
 class Mission:
     """One run. Built in its constructor, carried out by `run`."""
 
@@ -87,7 +98,9 @@ class Mission:
         host: Host,
         observers: Sequence[tuple[str, Observer]] = (),
         last_words: LastWords = say_on_stderr,
+        lifter: Lifter | None = None,
     ) -> None:
+        self._lifter = lifter or Lifter()
         self._config = config
         self._host = host
         self._started = perf_counter()
@@ -108,6 +121,7 @@ class Mission:
             self._source = self._build("source").plugin
             info: SourceInfo = self._source.info
             self._info = info
+            _check_visits(config, info)
             self._contexts.source = info
             for kind in BUILD_ORDER:
                 built = self._build(kind)
@@ -221,7 +235,7 @@ class Mission:
             plugins,
             self.graph,
             WaypointTopology(self.graph, self._contexts.ids),
-            Lifter(),
+            self._lifter,
             KeyFrameSelector(rule),
             self._guard,
             self._bus,

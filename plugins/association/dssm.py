@@ -143,6 +143,7 @@ class DssmAssociation:
         self._noise = (0.0, 0.0) if context.source is None else context.source.depth_noise_m
         self._unnamed = frozenset(config.unnamed_labels)
         self._key_frames = 0
+        self._view: tuple[Frame, View] | None = None
         self._touched: set[str] = set()
         self._visited: set[str] = set()
 
@@ -194,7 +195,6 @@ class DssmAssociation:
         """Scores against every object that the observation's box, grown by the tolerance, touches."""
         tolerance = neighbour_tolerance(observation.range_m, self._noise)
         observation_tree: KDTree | None = None
-        view: View | None = None
         pairs = []
         for object_id in self._graph.objects_touching(
             *grow_box(observation.box_min, observation.box_max, tolerance)
@@ -217,13 +217,17 @@ class DssmAssociation:
             enough = alike or (overlap is not None and overlap >= self._config.merge_min_overlap)
             allowed = 0.0 < s_geo >= needed and enough
             if allowed and not self._config.paper_exact and node.observations > 1:
-                view = view or View.of(frame)
-                allowed = (
-                    look_at(node.points[telling(node.points)], view, self._noise, _SIGHT).free
-                    < self._config.max_free_share
-                )
+                cloud = node.points[telling(node.points)]
+                sight = look_at(cloud, self._seen_in(frame), self._noise, _SIGHT)
+                allowed = sight.free < self._config.max_free_share
             pairs.append(_Pair(object_id, s_geo, s_sem, overlap, allowed, exact))
         return pairs
+
+    def _seen_in(self, frame: Frame) -> View:
+        """The frame made ready to be asked about places; made once a frame."""
+        if self._view is None or self._view[0] is not frame:
+            self._view = (frame, View.of(frame))
+        return self._view[1]
 
     def _share(
         self, observation: Observation, node: ObjectNode, tolerance: float, needed: float

@@ -26,6 +26,9 @@ class Config(PluginConfig):
     stop: int | None = Field(
         default=None, ge=1, description="frame index to stop before; none: the last one too"
     )
+    key_frames: bool = Field(
+        default=False, description="give only the frames that perception ran on: all that the map needs"
+    )
     truth: bool = Field(default=True, description="give the recorded truth to plug-ins that may see it")
 
 
@@ -45,6 +48,9 @@ class RecordedSource:
         indices = [
             i for i in recording.readable_frame_indices if i >= config.start and (stop is None or i < stop)
         ]
+        if config.key_frames:
+            keys = frozenset(recording.key_frames)
+            indices = [i for i in indices if i in keys]
         if not indices:
             recording.close()
             raise InputError(

@@ -13,7 +13,6 @@ and another thing of the same kind in the same place is told by its colours.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,8 +28,8 @@ from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, Obje
 from dssmsg.graph.evidence import SightRule, View
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.memory import ViewpointWindows
-from dssmsg.graph.movement import MoveScore, move_score, pair_moves
 from dssmsg.graph.nodes import APPEARED, BELIEVED, DISAPPEARED, MOVED, NEAR, SEES, STATIC, ObjectNode
+from dssmsg.graph.pairing import Pair, Pairing, PairingRule
 from dssmsg.graph.presence import ColorRule, Presence
 from dssmsg.graph.verdicts import MISSED, SEEN, Evidence
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
@@ -66,14 +65,6 @@ class DssmConfig(PluginConfig):
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Gone:
-    """What an object was before it vanished, and the last frame that may have shown it in its place."""
-
-    state: str
-    last_frame: int
-
-
 class DssmUpdate:
     """Follows the objects of the graph through the visits."""
 
@@ -99,16 +90,16 @@ class DssmUpdate:
         """Objects that were there at the end of the first visit."""
         self._home: dict[str, tuple[FloatArray, FloatArray]] = {}
         """Where the believed ones of them were."""
-        self._vanished: dict[str, _Gone] = {}
-        """Objects found gone and not found again."""
         self._new: dict[str, int] = {}
         """Objects that came after the baseline and are undecided: id -> observations at the last test."""
-        self._arrived: dict[str, bool] = {}
-        """Objects that may be things moved here: id -> whether the place was shown free before."""
         self._shown_free: dict[str, tuple[int, ...]] = {}
         """The frames that spoke for an appearance of this key frame."""
-        self._not_it: set[tuple[str, str]] = set()
-        """Pairs (vanished, new) that colours have told apart."""
+        self._pairing = Pairing(
+            context.graph,
+            PairingRule(
+                config.delta_move, config.delta_sem, config.unseen_move_margin, paper_exact=config.paper_exact
+            ),
+        )
 
     def update(
         self,
@@ -129,7 +120,7 @@ class DssmUpdate:
         }
         self._seen_this_visit.update(observed)
         for object_id in observed:
-            if object_id not in self._known and object_id not in self._arrived:
+            if object_id not in self._known and not self._pairing.is_open(object_id):
                 self._new.setdefault(object_id, 0)
         view = View.of(frame)
         expected = self._expected(viewpoint_id)
@@ -259,16 +250,15 @@ class DssmUpdate:
             changes.append(transitions.appeared(new_id, cause, scores))
             changes += self._vanish(node, "exchanged", self._presence.last_itself(object_id), scores)
             verdicts[object_id], verdicts[new_id] = DISAPPEARED, APPEARED
-            self._arrived[new_id] = True
-            self._not_it.add((object_id, new_id))
+            self._pairing.arrive(new_id, free_before=True)
+            self._pairing.tell_apart(object_id, new_id)
         return changes
 
     def _vanish(
         self, node: ObjectNode, rule: str, last_frame: int, scores: tuple[Score, ...]
     ) -> Iterator[Change]:
         self._presence.forget(node.id)
-        self._vanished[node.id] = _Gone(node.state, last_frame)
-        self._arrived.pop(node.id, None)
+        self._pairing.vanish(node, last_frame)
         self._new.pop(node.id, None)
         return transitions.vanished(self._graph, node.id, Cause(PLUGIN, rule), scores)
 
@@ -289,8 +279,9 @@ class DssmUpdate:
                 continue  # ask again when it is known twice as well
             self._new[object_id] = node.observations
             free = self._base_frames(node, viewpoint_id)
-            self._arrived[object_id] = len(free) >= self._config.k
-            if self._arrived[object_id]:
+            has_appeared = len(free) >= self._config.k
+            self._pairing.arrive(object_id, free_before=has_appeared)
+            if has_appeared:
                 del self._new[object_id]
                 verdicts[object_id] = APPEARED
                 self._shown_free[object_id] = tuple(free)
@@ -304,11 +295,7 @@ class DssmUpdate:
         if self._config.paper_exact:
             window = () if viewpoint_id is None else self._windows.window(viewpoint_id)
             return [remembered.view.frame for remembered in window if remembered.view.frame < first]
-        former = []
-        for object_id in self._vanished:
-            gone = self._graph.objects.get(object_id)
-            if gone is not None and gone.state == DISAPPEARED:
-                former.append((gone.box_min, gone.box_max))
+        former = [(gone.box_min, gone.box_max) for gone in self._pairing.gone()]
         views = self._windows.looking_at(node.center, first)
         found = base_evidence(node.points, former, views, self._noise, self._rule)
         return found.free if found.shows_free(self._config.k) else ()
@@ -316,65 +303,20 @@ class DssmUpdate:
     # -- movement -------------------------------------------------------------------------------------------
 
     def _moves(self, verdicts: dict[str, str], *, at_end: bool) -> list[Change]:
-        """What vanished and what arrived, paired by eq. 1-2 one-to-one.
-
-        In mid-visit only pairs without a rival: neither end fits another, and every other believed object
-        of the kind has been seen in its place in this visit. The rest is decided at the end.
-        """
-        olds = [node for node in map(self._graph.objects.get, self._vanished) if node is not None]
-        olds = [node for node in olds if node.state == DISAPPEARED]
-        news = [node for node in map(self._graph.objects.get, self._arrived) if node is not None]
-        news = [node for node in news if node.status == BELIEVED and node.state != DISAPPEARED]
-        if not olds or not news:
-            return []
-        scores = {
-            (old.id, new.id): self._move_score(old, new)
-            for old in olds
-            for new in news
-            if (old.id, new.id) not in self._not_it and new.frames[0] > self._vanished[old.id].last_frame
-        }
-        fitting = {pair: score for pair, score in scores.items() if score.s_move >= self._needed(pair[1])}
-        order = sorted({i for pair in fitting for i in pair}, key=id_order)
+        """What vanished and was found again elsewhere, or in its place."""
         changes: list[Change] = []
-        for old_id, new_id in pair_moves(fitting, 0.0, order):
-            old, new = self._graph.objects[old_id], self._graph.objects[new_id]
-            if not at_end and (self._has_rival(old_id, new_id, fitting) or self._may_be_another(old)):
-                continue
-            changes += self._move(old, new, fitting[old_id, new_id], verdicts)
+        for pair in self._pairing.pairs(self._seen_this_visit, at_end=at_end):
+            changes += self._move(pair, verdicts)
         return changes
 
-    def _move_score(self, old: ObjectNode, new: ObjectNode) -> MoveScore:
-        return move_score(old, new, self._config.delta_sem, paper_exact=self._config.paper_exact)
-
-    def _needed(self, new_id: str) -> float:
-        """delta_move, and more where nobody knows whether the place was free before."""
-        free = self._arrived[new_id]
-        return self._config.delta_move + (0.0 if free else self._config.unseen_move_margin)
-
-    def _has_rival(self, old_id: str, new_id: str, fitting: Mapping[tuple[str, str], MoveScore]) -> bool:
-        return any((old == old_id) != (new == new_id) for old, new in fitting)
-
-    def _may_be_another(self, old: ObjectNode) -> bool:
-        """Whether a thing of the same kind, not seen in this visit yet, may be what was found instead."""
-        return any(
-            node.label == old.label
-            and node.id != old.id
-            and node.status == BELIEVED
-            and node.state != DISAPPEARED
-            and node.id not in self._seen_this_visit
-            for node in self._graph.objects.values()
-        )
-
-    def _move(
-        self, old: ObjectNode, new: ObjectNode, score: MoveScore, verdicts: dict[str, str]
-    ) -> Iterator[Change]:
-        needed = self._needed(new.id)
-        former = self._vanished.pop(old.id).state
-        self._arrived.pop(new.id, None)
+    def _move(self, pair: Pair, verdicts: dict[str, str]) -> Iterator[Change]:
+        old, new = pair.old, pair.new
+        former = self._pairing.close(pair).state
         self._new.pop(new.id, None)
         self._presence.forget(new.id)
         self._presence.forget(old.id)
-        scores = transitions.move_scores(score, needed, self._config.delta_sem)
+        verdicts[new.id] = f"is {old.id}"
+        scores = transitions.move_scores(pair.score, pair.needed, self._config.delta_sem)
         if self._same_place((old.box_min, old.box_max), (new.box_min, new.box_max)):
             verdicts[old.id] = "returned"
             state = STATIC if old.id in self._home else former
@@ -383,7 +325,7 @@ class DssmUpdate:
         home = self._home.get(old.id)
         back = home is not None and self._same_place(home, (new.box_min, new.box_max))
         state = STATIC if back else (MOVED if home is not None or former != APPEARED else APPEARED)
-        verdicts[old.id], verdicts[new.id] = ("put back" if back else MOVED), f"is {old.id}"
+        verdicts[old.id] = "put back" if back else MOVED
         cause = Cause(PLUGIN, "put_back" if back else "moved")
         yield from transitions.moved(old, new, state, self._ids.new("history"), cause, scores)
 
@@ -413,14 +355,14 @@ class DssmUpdate:
             self._known.add(node.id)
             if node.status == BELIEVED:
                 self._home[node.id] = (node.box_min, node.box_max)
-        self._vanished.clear()
-        self._arrived.clear()
+        self._pairing.clear()
         self._new.clear()
 
     def _forget(self, object_id: str) -> None:
         """An object leaves the graph for good."""
         self._presence.forget(object_id)
-        for table in (self._new, self._arrived, self._vanished, self._home):
+        self._pairing.drop(object_id)
+        for table in (self._new, self._home):
             table.pop(object_id, None)
 
     def _evaluation(
