@@ -15,14 +15,18 @@ from dssmsg.recogniser.crops import CropImages, cut
 from dssmsg.recogniser.grouping import Group, GroupingRule, candidates, chosen, limited, sharpened
 from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS, geometry_channels, half_geometry
 from dssmsg.recogniser.joining import Contacts, merges
+from dssmsg.recogniser.lived import lived_in_home, lived_in_room, near_poses
 from dssmsg.recogniser.rooms import arrange_room, camera_poses, look, surface_height
 from dssmsg.recogniser.shelf import Shelf, all_labels, load_table, seed_range
 from dssmsg.recogniser.views import CAMERA
 from dssmsg.recogniser.working import WorkingFrame
 from dssmsg.sim.camera import Instance
+from dssmsg.sim.furniture import FurnitureLibrary
 from dssmsg.sim.furniture.categories import load_categories
+from dssmsg.sim.generate import generate_scene
 from dssmsg.sim.mesh import box
 from dssmsg.sim.scene import load_scene
+from dssmsg.sim.solid import clearance
 
 # -- what the networks are shown
 
@@ -260,3 +264,49 @@ def test_the_height_of_a_surface_is_read_off_the_mesh():
     instance = Instance(1, box([0.8, 0.6, 0.7], [9, 9, 9]), pose)
     assert surface_height(instance, (1.2, 2.1)) == pytest.approx(0.8)
     assert surface_height(instance, (1.5, 2.0)) is None
+
+
+def test_rooms_are_full_of_small_things_where_people_live():
+    shelf = Shelf("embedded")
+    rooms = [lived_in_room(shelf, np.random.default_rng([11])) for _ in range(2)]
+    first, second = ([(t.model.model, t.box_min.tolist()) for t in room.things] for room in rooms)
+    assert first == second
+
+    def share(rooms):
+        """Of small things that stand on others, among all."""
+        things = [thing for room in rooms for thing in room.things]
+        return np.mean([(t.box_max - t.box_min).max() < 0.65 and t.box_min[2] > 0.2 for t in things])
+
+    seeds = range(11, 17)
+    lived_in = share([lived_in_room(shelf, np.random.default_rng([seed])) for seed in seeds])
+    arranged = share([arrange_room(shelf, np.random.default_rng([seed])) for seed in seeds])
+    assert lived_in > 1.3 * arranged
+
+
+def test_a_home_keeps_its_walls_and_gets_more_small_things():
+    shelf, library = Shelf("embedded"), FurnitureLibrary.open("embedded")
+    room = lived_in_home(shelf, library, np.random.default_rng([4]), 4)
+    pieces = generate_scene(4).furniture
+    assert len(room.things) > len(pieces) + 10
+    fixed = room.solids[: len(room.solids) - len(room.things)]
+    walls = [solid for solid in fixed if solid.bottom < 0.5]  # the others are above doors
+    assert walls
+    for thing in room.things[len(pieces) :]:
+        middle = (thing.box_min + thing.box_max)[None, :2] / 2
+        assert clearance(middle, walls)[0] > 0  # none stands in a wall
+    numbers = [thing.instance.instance_id for thing in room.things]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) < 256  # an id is a byte in the shards
+
+
+def test_near_poses_look_at_small_things_from_where_the_robot_fits():
+    room = lived_in_room(Shelf("embedded"), np.random.default_rng([11]))
+    poses = near_poses(room, np.random.default_rng(0), 8)
+    assert len(poses) > 4
+    floor = [solid for solid in room.solids if solid.bottom < 1.0 and solid.top > 0.05]
+    goals = np.array([(thing.box_min + thing.box_max)[:2] / 2 for thing in room.things])
+    for pose in poses:
+        assert clearance(pose[None, :2, 3], floor)[0] >= 0.22
+        apart = goals - pose[:2, 3]
+        ahead = apart @ pose[:2, 2] / np.linalg.norm(pose[:2, 2])
+        assert ((ahead > 0.3) & (np.linalg.norm(apart, axis=1) < 2.7)).any()

@@ -20,12 +20,13 @@ from dssmsg.recogniser.inputs import GEOMETRY_CHANNELS, geometry_channels, half_
 from dssmsg.recogniser.networks import CARD, MaskNetwork, read_card, softmax
 from dssmsg.recogniser.recogniser import Recogniser
 from dssmsg.recogniser.shelf import Shelf, all_labels
-from dssmsg.recogniser.views import View, home_views, room_views
+from dssmsg.recogniser.views import View, home_views, lived_in_views, room_views
 from dssmsg.sim.furniture import FurnitureLibrary
 from training.nets import CropNet, MaskNet
 
 CALIBRATION_SEEDS = range(90_000, 90_012)
-"""Rooms of the training range that no other stage renders."""
+LIVED_IN_SEEDS = range(90_100, 90_108)
+"""Rooms of the training range that no other stage renders; the second ones as people leave them."""
 _LARGE, _HALF_MAX = 256, 60_000.0
 TIGHT_IOU = 0.65
 """A score is the chance of a right name and of a mask this good: a map suffers from masks that leak."""
@@ -169,6 +170,8 @@ def _calibration_views(count: int) -> list[View]:
     views: list[View] = []
     for seed in CALIBRATION_SEEDS:
         views += home_views(library, seed, count) if seed % 2 else room_views(shelf, seed, count)
+    for seed in LIVED_IN_SEEDS:
+        views += lived_in_views(shelf, seed, count, library if seed % 2 else None)
     return views
 
 

@@ -12,7 +12,6 @@ from dssmsg.frame import Camera
 from dssmsg.recogniser.contract import OFFSET_PX
 from dssmsg.recogniser.inputs import geometry_channels, half_geometry, normalised_rgb
 from dssmsg.recogniser.views import CAMERA
-from dssmsg.recogniser.working import bilinear
 from training.render import load, shards
 
 
@@ -79,6 +78,16 @@ def zoomed(
         (CAMERA.cx - left + 0.5) * scale - 0.5, (CAMERA.cy - top + 0.5) * scale - 0.5,
     )  # fmt: skip
     return bilinear(rgb, u, v), depth[at], ids[at], camera
+
+
+def bilinear(rgb: NDArray[np.uint8], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """(V, U, 3) samples of an image (H, W, 3) at columns u (U,) and rows v (V,), all inside it."""
+    left, top = (
+        np.minimum(at.astype(np.intp), side - 2) for at, side in ((u, rgb.shape[1]), (v, rgb.shape[0]))
+    )
+    du, dv = (u - left).astype(np.float32)[None, :, None], (v - top).astype(np.float32)[:, None, None]
+    across = rgb[:, left] * (1 - du) + rgb[:, left + 1] * du
+    return np.rint(across[top] * (1 - dv) + across[top + 1] * dv).astype(np.uint8)
 
 
 def repainted(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:

@@ -17,8 +17,8 @@ from dssmsg.graph.evidence import SightRule, look_at, telling, verdict_of
 from dssmsg.graph.memory import Remembered
 from dssmsg.graph.verdicts import MISSED, PRESENT
 
-MAX_VIEWS = 24
-"""As many earlier frames, the latest first, are asked; more say nothing new."""
+MAX_VIEWS = 40
+"""As many earlier frames, those from nearby first, are asked; more say nothing new."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,8 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from dssmsg.frame import FloatArray
 from dssmsg.geometry import invert_rigid, project, transform_points
 from dssmsg.graph.evidence import View
@@ -45,15 +47,24 @@ class ViewpointWindows:
         """A viewpoint's frames, oldest first; empty for one never seen."""
         return tuple(self._windows.get(viewpoint_id, ()))
 
-    def looking_at(self, place: FloatArray, before_frame: int) -> Iterator[Remembered]:
-        """Frames earlier than `before_frame` whose image holds the place (3,), the latest first."""
+    def looking_at(self, box_min: FloatArray, box_max: FloatArray, before_frame: int) -> Iterator[Remembered]:
+        """Frames earlier than `before_frame` whose image holds some of a box, corners (3,); nearest first."""
+        centre = (box_min + box_max) / 2.0
+        corners = [np.where(pick, box_max, box_min) for pick in np.ndindex(2, 2, 2)]
+        spots = np.array([centre, *corners])
         found = [
             remembered
-            for viewpoint_id in self._graph.viewpoints_near(place, self._reach)
+            for viewpoint_id in self._graph.viewpoints_near(centre, self._reach)
             for remembered in self._windows.get(viewpoint_id, ())
-            if remembered.view.frame < before_frame and _holds(remembered.view, place)
+            if remembered.view.frame < before_frame and _holds(remembered.view, spots)
         ]
-        found.sort(key=lambda r: (-r.view.frame, id_order(r.viewpoint_id)))
+        found.sort(
+            key=lambda r: (
+                float(np.linalg.norm(r.view.world_from_camera[:3, 3] - centre)),
+                -r.view.frame,
+                id_order(r.viewpoint_id),
+            )
+        )
         return iter(found)
 
     def forget_removed(self) -> None:
@@ -62,10 +73,9 @@ class ViewpointWindows:
             del self._windows[viewpoint_id]
 
 
-def _holds(view: View, place: FloatArray) -> bool:
-    """Whether a place (3,) falls inside the image."""
-    uv, z = project(transform_points(invert_rigid(view.world_from_camera), place[None]), view.camera)
-    if not z[0] > 0:
-        return False
-    u, v = uv[0]
-    return bool(0 <= u < view.camera.width and 0 <= v < view.camera.height)
+def _holds(view: View, spots: FloatArray) -> bool:
+    """Whether any of the spots (N, 3) falls inside the image."""
+    uv, z = project(transform_points(invert_rigid(view.world_from_camera), spots), view.camera)
+    with np.errstate(invalid="ignore"):
+        inside = (z > 0) & np.all((uv >= 0) & (uv < (view.camera.width, view.camera.height)), axis=1)
+    return bool(inside.any())

@@ -30,7 +30,7 @@ class GroupingRule:
     peak_gap: int = 5
     reach: float = 6.0
     reach_share: float = 0.45
-    min_pixels: int = 20
+    min_pixels: int = 14
     max_peaks: int = 60
     part_gap_m: float = 0.15
     join: tuple[float, ...] = ()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dssmsg.frame import ByteArray, Camera, Float32Array, FloatArray, Frame, MaskArray
+from dssmsg.frame import ByteArray, Camera, Float32Array, Frame, MaskArray
 
 WORKING_WIDTH = 320
 _MULTIPLE = 4
@@ -50,21 +50,6 @@ class WorkingFrame:
         )  # fmt: skip
         return cls(rgb[:rows, :columns], depth[:rows, :columns], small, factor, (height, width))
 
-    def doubled(self) -> WorkingFrame:
-        """The same view with twice the pixels a side, as the dense network wants it: its maps, which have half
-        its input's size, then have this frame's.
-
-        Colour is interpolated; depth is repeated, for nothing floats between surfaces.
-        """
-        rows, columns = self.depth.shape
-        u, v = (np.clip((np.arange(2 * side) + 0.5) / 2 - 0.5, 0, side - 1) for side in (columns, rows))
-        one = self.camera
-        camera = Camera(
-            2 * columns, 2 * rows, 2 * one.fx, 2 * one.fy, 2 * one.cx + 0.5, 2 * one.cy + 0.5
-        )  # fmt: skip
-        depth = self.depth.repeat(2, axis=0).repeat(2, axis=1)
-        return WorkingFrame(bilinear(self.rgb, u, v), depth, camera, 1, (2 * rows, 2 * columns))
-
     def enlarged(self, mask: MaskArray) -> MaskArray:
         """A mask (h, w) at the frame's own size (H, W)."""
         if self.factor == 1 and mask.shape == self.full:
@@ -77,14 +62,3 @@ class WorkingFrame:
         rows, columns = self.depth.shape
         start = self.factor // 2
         return mask[start :: self.factor, start :: self.factor][:rows, :columns]
-
-
-def bilinear(rgb: ByteArray, u: FloatArray, v: FloatArray) -> ByteArray:
-    """(V, U, 3) samples of an image (H, W, 3) at columns u (U,) and rows v (V,), both inside it."""
-    left, top = (
-        np.minimum(at.astype(np.intp), side - 2) for at, side in ((u, rgb.shape[1]), (v, rgb.shape[0]))
-    )
-    du, dv = (u - left).astype(np.float32)[None, :, None], (v - top).astype(np.float32)[:, None, None]
-    across = rgb[:, left] * (1 - du) + rgb[:, left + 1] * du
-    mixed: ByteArray = np.rint(across[top] * (1 - dv) + across[top + 1] * dv).astype(np.uint8)
-    return mixed

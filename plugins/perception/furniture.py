@@ -33,7 +33,7 @@ class FurnitureConfig(PluginConfig):
         None, description="Folder with weights.json and its networks; none: the shipped ones."
     )
     threads: int = Field(1, ge=1, le=64, description="Threads of the networks; 1 is fastest on shared cores.")
-    min_score: float = Field(0.3, ge=0, le=1, description="Detections below this score are left out.")
+    min_score: float = Field(0.25, ge=0, le=1, description="Detections below this score are left out.")
     min_pixels: int = Field(80, ge=16, description="Masks smaller than this are left out, in pixels.")
     max_range: float = Field(
         5.0, gt=0, description="Things whose median depth is beyond are left out, metres."

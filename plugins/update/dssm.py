@@ -296,7 +296,7 @@ class DssmUpdate:
             window = () if viewpoint_id is None else self._windows.window(viewpoint_id)
             return [remembered.view.frame for remembered in window if remembered.view.frame < first]
         former = [(gone.box_min, gone.box_max) for gone in self._pairing.gone()]
-        views = self._windows.looking_at(node.center, first)
+        views = self._windows.looking_at(node.box_min, node.box_max, first)
         found = base_evidence(node.points, former, views, self._noise, self._rule)
         return found.free if found.shows_free(self._config.k) else ()
 
