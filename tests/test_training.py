@@ -7,11 +7,10 @@ import pytest
 
 from dssmsg.recogniser.contract import OFFSET_PX
 from dssmsg.recogniser.shelf import all_labels, seed_range
-from dssmsg.recogniser.views import CAMERA
 from training.crops import drawn_mask, nothing_mask
 from training.proposals import Proposals, name_of
 from training.render import CLUTTERED_FROM, KINDS, VIEWS_A_SEED, load, render, shards
-from training.samples import Views, recoloured, repainted, targets, zoomed
+from training.samples import Views, recoloured, repainted, targets
 
 IDS = np.zeros((120, 160), np.uint8)
 IDS[20:60, 30:90] = 1
@@ -35,29 +34,6 @@ def test_votes_lead_to_the_centre_and_small_things_weigh_more():
     assert border[40, 60] == 0
     assert set(np.unique(classes)) == {-1, 5, 9}
     assert classes[20, 30] == 5
-
-
-def test_an_enlarged_part_shows_the_same_world():
-    depth = np.full((240, 320), 2.0, np.float32)
-    depth[60:180, 80:240] = 1.0
-    ids = (depth < 1.5).astype(np.uint8)
-    rgb = np.repeat((ids * 200)[..., None], 3, axis=2)
-    scales = []
-    for seed in range(12):
-        image, near, number, camera = zoomed(rgb, depth, ids, np.random.default_rng(seed))
-        scales.append(camera.fx / CAMERA.fx)
-        assert image.shape == rgb.shape
-        np.testing.assert_array_equal(number == 1, near < 1.5)
-        # Where a pixel of the part comes from, by the two cameras' rays.
-        u = CAMERA.cx + (np.arange(320) - camera.cx) / scales[-1]
-        v = CAMERA.cy + (np.arange(240) - camera.cy) / scales[-1]
-        inside = np.outer((v > 60.5) & (v < 178.5), (u > 80.5) & (u < 238.5))
-        outside = ~np.outer((v > 58.5) & (v < 180.5), (u > 78.5) & (u < 240.5))
-        assert (number[inside] == 1).all()
-        assert (number[outside] == 0).all()
-        assert (image[inside] == 200).all()
-    assert min(scales) >= 1
-    assert max(scales) == pytest.approx(2)
 
 
 def test_a_drawn_mask_is_mostly_the_thing():

@@ -26,7 +26,7 @@ class Plan:
     The learning rate's course is laid out for `steps`, training ends after `until`; the shards of seeds below
     `seeds` are used; `small` gives the pixels of small things more weight, 0 = each pixel counts the same,
     and with `everywhere` also in what is learnt of centres and borders. `lived_in` is the share of the views
-    that show rooms as people leave them, None: as many as there are; `zoom` of parts of views, enlarged.
+    that show rooms as people leave them, None: as many as there are.
     """
 
     steps: int = 1100
@@ -39,7 +39,6 @@ class Plan:
     small: float = 0.0
     everywhere: bool = False
     lived_in: float | None = None
-    zoom: float = 0.0
 
 
 def loss(
@@ -105,7 +104,7 @@ def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -
     for step in range(start, plan.until):
         rng = np.random.default_rng([plan.seed, step])
         drawn = rng.choice(len(views), plan.batch, replace=False, p=chance)
-        samples = [views.sample(int(i), rng, plan.zoom) for i in drawn]
+        samples = [views.sample(int(i), rng) for i in drawn]
         image, geometry, *target = (torch.from_numpy(np.stack(part)) for part in zip(*samples, strict=True))
         dense, classes = net(
             *(part.contiguous(memory_format=torch.channels_last) for part in (image, geometry))

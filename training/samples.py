@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dssmsg.frame import Camera
 from dssmsg.recogniser.contract import OFFSET_PX
 from dssmsg.recogniser.inputs import geometry_channels, half_geometry, normalised_rgb
 from dssmsg.recogniser.views import CAMERA
@@ -32,20 +31,12 @@ class Views:
     def __len__(self) -> int:
         return len(self.rgb)
 
-    def sample(
-        self, index: int, rng: np.random.Generator, zoom: float = 0.0
-    ) -> tuple[NDArray[np.float32], ...]:
-        """rgb (3, H, W), geometry (G, h, w), targets; mirrored and recoloured by chance.
-
-        With the chance `zoom` it is a part of the view, enlarged up to twice.
-        """
+    def sample(self, index: int, rng: np.random.Generator) -> tuple[NDArray[np.float32], ...]:
+        """rgb (3, H, W), geometry (G, h, w), targets; mirrored and recoloured by chance."""
         rgb = recoloured(self.rgb[index], rng)
         depth = self.depth_mm[index].astype(np.float32) / np.float32(1000)
-        ids, camera = self.ids[index], CAMERA
-        if rng.random() < zoom:
-            rgb, depth, ids, camera = zoomed(rgb, depth, ids, rng)
-        geometry = geometry_channels(half_geometry(depth, camera, self.poses[index], 0.0))
-        ids = ids[::2, ::2]
+        geometry = geometry_channels(half_geometry(depth, CAMERA, self.poses[index], 0.0))
+        ids = self.ids[index, ::2, ::2]
         image = normalised_rgb(rgb)
         if rng.random() < 0.5:
             image, geometry, ids = image[:, :, ::-1].copy(), geometry[:, :, ::-1].copy(), ids[:, ::-1].copy()
@@ -58,36 +49,6 @@ def recoloured(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.u
     gain = rng.normal(1.0, 0.15) * rng.normal(1.0, 0.06, 3)
     image = (rgb.astype(np.float32) - 128) * np.float32(rng.normal(1, 0.12)) + 128
     return np.clip(image * gain.astype(np.float32), 0, 255).astype(np.uint8)
-
-
-def zoomed(
-    rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint8], rng: np.random.Generator
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8], Camera]:
-    """A window of the view, somewhere, enlarged to the view's size, and its camera; often twice exactly.
-
-    Colour is interpolated; depth and ids are those of the nearest pixel.
-    """
-    height, width = ids.shape
-    scale = 2.0 if rng.random() < 0.4 else float(rng.uniform(1.0, 2.0))
-    left, top = (float(rng.uniform(0, side - side / scale)) for side in (width, height))
-    u = np.clip(left + (np.arange(width) + 0.5) / scale - 0.5, 0, width - 1)
-    v = np.clip(top + (np.arange(height) + 0.5) / scale - 0.5, 0, height - 1)
-    at = np.ix_(np.rint(v).astype(np.intp), np.rint(u).astype(np.intp))
-    camera = Camera(
-        width, height, CAMERA.fx * scale, CAMERA.fy * scale,
-        (CAMERA.cx - left + 0.5) * scale - 0.5, (CAMERA.cy - top + 0.5) * scale - 0.5,
-    )  # fmt: skip
-    return bilinear(rgb, u, v), depth[at], ids[at], camera
-
-
-def bilinear(rgb: NDArray[np.uint8], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(V, U, 3) samples of an image (H, W, 3) at columns u (U,) and rows v (V,), all inside it."""
-    left, top = (
-        np.minimum(at.astype(np.intp), side - 2) for at, side in ((u, rgb.shape[1]), (v, rgb.shape[0]))
-    )
-    du, dv = (u - left).astype(np.float32)[None, :, None], (v - top).astype(np.float32)[:, None, None]
-    across = rgb[:, left] * (1 - du) + rgb[:, left + 1] * du
-    return np.rint(across[top] * (1 - dv) + across[top + 1] * dv).astype(np.uint8)
 
 
 def repainted(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:

@@ -30,7 +30,7 @@ _ON_NEIGHBOUR = 0.05
 class ColorRule:
     """When a surface counts as another one: s_rgb of what is stored and what is there, at the same pixels."""
 
-    exchanged: float = 0.55
+    exchanged: float = 0.35
     """Below this the thing that was seen is another one of its kind."""
     changed: float = 0.5
     """Below this a thing too thin for depth, and not detected, is gone from where it lay."""
@@ -137,12 +137,9 @@ class Presence:
         if colors is not None and self.gain is not None:
             values["s_rgb"] = round(color_similarity(colors[0], colors[1], 1.0 / self.gain), 4)
         verdict = SEEN if observed else verdict_of(sight, self._rule)
-        if (
-            verdict == PRESENT
-            and values.get("s_rgb", 1.0) < self._colors.changed
-            and is_thin(node.points, 2 * self._rule.min_margin)
-        ):
-            verdict = MISSED
+        flat = verdict in (PRESENT, UNKNOWN) and is_thin(node.points, 2 * self._rule.min_margin)
+        if flat and values.get("s_rgb", 1.0) < self._colors.changed:
+            verdict = MISSED  # depth cannot tell it from what it lay on, colours can
         return Evidence(view.frame, node.id, verdict, values)
 
     def _cloud(self, node: ObjectNode) -> tuple[Float32Array, ByteArray]:

@@ -23,7 +23,7 @@ from dssmsg.events import WindowEvaluated
 from dssmsg.frame import FloatArray, Frame, Observation
 from dssmsg.geometry import box_iou
 from dssmsg.graph import transitions
-from dssmsg.graph.appearance import base_evidence
+from dssmsg.graph.appearance import Newcomer, base_evidence
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectRemoved, Score
 from dssmsg.graph.evidence import SightRule, View
 from dssmsg.graph.ids import id_order
@@ -61,7 +61,7 @@ class DssmConfig(PluginConfig):
     )
     max_range: float = Field(4.0, gt=0, description="Farthest point that a frame says anything of, metres.")
     exchanged_below: float = Field(
-        0.55, ge=0, le=1, description="s_rgb in place below which it is another one of its kind; 0: never."
+        0.35, ge=0, le=1, description="s_rgb in place below which it is another one of its kind; 0: never."
     )
 
 
@@ -74,12 +74,13 @@ class DssmUpdate:
         self._ids = context.ids
         self._noise = (0.001, 0.0) if context.source is None else context.source.depth_noise_m
         self._rule = SightRule(free_share=config.free_share, max_range=config.max_range)
+        self._colors = ColorRule(exchanged=config.exchanged_below)
         self._windows = ViewpointWindows(context.graph, config.window, config.max_range + 1.0)
         self._presence = Presence(
             context.graph,
             self._noise,
             self._rule,
-            ColorRule(exchanged=config.exchanged_below),
+            self._colors,
             literal=config.paper_exact,
         )
         self._attributes = DynamicAttributes(context.llm)
@@ -297,7 +298,8 @@ class DssmUpdate:
             return [remembered.view.frame for remembered in window if remembered.view.frame < first]
         former = [(gone.box_min, gone.box_max) for gone in self._pairing.gone()]
         views = self._windows.looking_at(node.box_min, node.box_max, first)
-        found = base_evidence(node.points, former, views, self._noise, self._rule)
+        new = Newcomer(node.points, node.colors, self._presence.gain or 1.0, self._colors.changed)
+        found = base_evidence(new, former, views, self._noise, self._rule)
         return found.free if found.shows_free(self._config.k) else ()
 
     # -- movement -------------------------------------------------------------------------------------------
