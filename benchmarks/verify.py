@@ -28,6 +28,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import eyes
+import homes
 from staging import ENVIRONMENT, ROOT, Row, code_hash, dssmsg, recording_of, run
 
 HERE = Path(__file__).resolve().parent
@@ -339,6 +340,7 @@ STAGES: dict[str, Callable[[Path], list[Row]]] = {
     "growth": growth,
     "startup": startup,
     **eyes.STAGES,
+    **homes.STAGES,
 }
 
 
