@@ -25,17 +25,19 @@ class SightRule:
 
     A point is shown free where depth lies more than max(min_margin, sigmas * sigma(z)) metres behind it; a
     place is free where at least `free_share` of the points that fall inside the image are, and something is
-    there where depth finds `present_share` of them in place: the rest hides behind them. `sample` points of
-    a cloud are asked, `min_points` must fall inside, `max_range` metres is as far as anyone looks.
+    there where depth finds `present_share` of them in place: the rest hides behind them. Where a part is
+    hidden the share is taken of what is not, if less than `own_surface` is found in place. `sample` points
+    of a cloud are asked, `min_points` must fall inside, `max_range` metres is as far as anyone looks.
     """
 
     min_margin: float = 0.03
     sigmas: float = 3.0
     free_share: float = 0.6
     present_share: float = 0.25
+    own_surface: float = 0.15
     sample: int = 256
     min_points: int = 6
-    min_inside_share: float = 0.2
+    min_inside_share: float = 0.15
     max_range: float = 4.0
 
 
@@ -166,6 +168,9 @@ def verdict_of(sight: PlaceSight, rule: SightRule = SightRule()) -> str:
         return UNKNOWN
     if sight.free >= rule.free_share:
         return MISSED
+    in_sight = 1.0 - sight.occluded
+    if sight.surface < rule.own_surface and rule.free_share / 2 <= sight.free >= rule.free_share * in_sight:
+        return MISSED  # what is not hidden of it is not there
     if sight.free > rule.free_share / 2:
         return UNKNOWN  # part of what is stored is there, part is not: too little of either
     if sight.surface >= rule.present_share:

@@ -22,6 +22,8 @@ from dssmsg.graph.view import GraphView
 
 _MIN_COLOR_POINTS = 12
 _MIN_LIT_OBJECTS = 3
+_DOUBT = 0.1
+"""Share shown free from which it is asked whether the rest of the points are the thing's own."""
 _ON_NEIGHBOUR = 0.05
 """Metres: two voxels. So near to another object's points a point may be that object's."""
 
@@ -157,7 +159,7 @@ class Presence:
         A detection that took in a piece of the dresser behind a chair leaves it in the chair; there it
         would say for ever that the chair is in its place. Asked only where it may turn the verdict.
         """
-        if not self._rule.free_share / 2 < sight.free < self._rule.free_share:
+        if not _DOUBT < sight.free < self._rule.free_share:
             return sight
         points = sampled(cloud, self._rule.sample)[sight.on_surface]
         foreign = np.zeros(len(points), dtype=np.bool_)
