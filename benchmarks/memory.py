@@ -32,7 +32,6 @@ from dssmsg.frame import Detection, Frame
 from dssmsg.graph.ids import IdAllocator
 from dssmsg.graph.read_only import ReadOnlyGraph
 from dssmsg.graph.scene_graph import SceneGraph
-from dssmsg.graph.topology import TopologyKeeper
 from dssmsg.graph.waypoints import WaypointTopology
 from dssmsg.guard import Guard
 from dssmsg.host import Host
@@ -42,6 +41,7 @@ from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
 from dssmsg.mission.pipeline import Pipeline, Plugins
 from dssmsg.mission.run import run_mission
+from dssmsg.mission.topology import TopologyKeeper
 
 MAX_GROWTH = 1.3
 KEY_FRAMES = 100

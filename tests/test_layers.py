@@ -46,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
     "recording": {"errors", "frame", "interfaces", "events", "geometry", "graph"},
     # what puts them together
     "mission": VALUES | HOST | TOOLS | {"graph", "llm", "navigation", "recording"},
-    "evaluate": VALUES | HOST | {"graph", "mission", "purposes", "recording", "recogniser", "sim"},
+    "evaluate": VALUES | HOST | {"graph", "lift", "mission", "purposes", "recording", "recogniser", "sim"},
     "review": VALUES | {"graph", "recording"},
     "data": {"frame", "hookspecs"},  # the template of a plug-in
     "__main__": {"cli"},
