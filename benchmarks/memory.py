@@ -129,11 +129,11 @@ class Memory:
             ),
             self.graph,
             WaypointTopology(self.graph, contexts.ids),
-            TopologyKeeper(self.graph, contexts.ids, info.depth_noise_m),
             Lifter(),
             KeyFrameSelector(KeyFrameRule()),
             guard,
             ObserverBus([("times", self.times)], guard.watching),
+            TopologyKeeper(self.graph, contexts.ids, info.depth_noise_m),
         )
         self.index = 0
         self.visits = 0
