@@ -57,7 +57,7 @@ class ScriptedAttribute:
 class ChangingRoom:
     """One graph through many visits. `visit(things)` drives past all stands and returns the verdicts."""
 
-    def __init__(self, *, values=0.9, light=1.0, miss=(), **config) -> None:
+    def __init__(self, *, values=0.9, light=1.0, score=1.0, **config) -> None:
         self.llm = ScriptedAttribute(values)
         plain = context(noise=NOISE)
         self.context = dataclasses.replace(plain, llm=self.llm, ids=IdAllocator(), base_dir=Path())
@@ -67,10 +67,10 @@ class ChangingRoom:
             AssociationConfig(paper_exact=config.get("paper_exact", False)), self.context
         )
         self.update = DssmUpdate(DssmConfig(**config), self.context)
-        self.oracle = Oracle(OracleConfig(min_pixels=12), self.context)
+        self.oracle = Oracle(OracleConfig(min_pixels=12, score=score), self.context)
         self.lifter = Lifter()
         self.light = light
-        self.missed = set(miss)
+        self.missed: set[str] = set()
         self.index = 0
         self.visits = 0
         self.windows = []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from box_scene import Thing
-from changing_room import ChangingRoom, Painted
+from changing_room import STANDS, ChangingRoom, Painted
 
 from dssmsg.graph.compare import same
 from dssmsg.graph.scene_graph import SceneGraph
@@ -160,6 +160,20 @@ def test_what_stays_for_years_never_disappears_here():
     room.visit([*ROOM, BALL])
     room.visit(ROOM)
     assert room.one("ball").state == "static"
+
+
+@pytest.mark.parametrize("min_sightings", [2, 100])
+def test_a_thing_not_believed_yet_is_borne_out_by_its_going(min_sightings):
+    room = ChangingRoom(score=0.2, min_sightings=min_sightings)
+    room.visit([*ROOM, BALL], stands=STANDS[:1], headings=(20,))
+    (ball,) = [n for n in room.graph.objects.values() if n.label == "ball"]
+    assert ball.status == "tentative"
+    room.visit(ROOM)
+    after = room.graph.objects.get(ball.id)
+    if min_sightings == 2:
+        assert (after.status, after.state) == ("believed", "disappeared")
+    else:
+        assert after is None, "an early error, corrected"
 
 
 def test_the_llm_is_asked_once_a_thing():

@@ -16,15 +16,19 @@ from dssmsg.graph.changes import (
     Score,
 )
 from dssmsg.graph.movement import MoveScore
-from dssmsg.graph.nodes import APPEARED, DISAPPEARED, NEAR, SEES, ObjectNode
+from dssmsg.graph.nodes import APPEARED, BELIEVED, DISAPPEARED, NEAR, SEES, ObjectNode
 from dssmsg.graph.view import GraphView
 
 Scores = tuple[Score, ...]
 
 
 def vanished(graph: GraphView, object_id: str, cause: Cause, scores: Scores) -> Iterator[Change]:
-    """It is no longer there: no viewpoint sees it, nothing is near it; the node keeps its last place."""
-    yield _state(object_id, DISAPPEARED, cause, scores)
+    """It is no longer there: no viewpoint sees it, nothing is near it; the node keeps its last place.
+
+    A tentative one is believed from now on: what was there and is not was a thing.
+    """
+    believe = graph.objects[object_id].status != BELIEVED
+    yield _state(object_id, DISAPPEARED, cause, scores, believe=believe)
     yield from without_edges(graph, object_id, cause)
 
 
@@ -40,9 +44,14 @@ def corrected(object_id: str, cause: Cause, scores: Scores) -> Change:
     return ObjectRemoved(cause=cause, scores=scores, object_id=object_id)
 
 
-def appeared(object_id: str, cause: Cause, scores: Scores) -> Change:
-    """It was not there before."""
-    return _state(object_id, APPEARED, cause, scores)
+def piece(whole_id: str, piece_id: str, cause: Cause, scores: Scores) -> Change:
+    """What came or went beside a thing of its kind, and with it, is a piece of it."""
+    return ObjectsJoined(cause=cause, scores=scores, object_id=whole_id, absorbed_id=piece_id)
+
+
+def appeared(object_id: str, cause: Cause, scores: Scores, *, believe: bool = False) -> Change:
+    """It was not there before; so it is a thing: `believe` one that was tentative."""
+    return _state(object_id, APPEARED, cause, scores, believe=believe)
 
 
 def moved(
@@ -100,5 +109,8 @@ def without_repeats(changes: Iterable[Change]) -> Iterator[Change]:
         yield change
 
 
-def _state(object_id: str, state: str, cause: Cause, scores: Scores) -> ObjectChanged:
-    return ObjectChanged(cause=cause, scores=scores, object_id=object_id, values={"state": state})
+def _state(
+    object_id: str, state: str, cause: Cause, scores: Scores, *, believe: bool = False
+) -> ObjectChanged:
+    values = {"status": BELIEVED, "state": state} if believe else {"state": state}
+    return ObjectChanged(cause=cause, scores=scores, object_id=object_id, values=values)

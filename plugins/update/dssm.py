@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
-from dssmsg.dynamic_attribute import DynamicAttributes, level
+from dssmsg.dynamic_attribute import DynamicAttribute, DynamicAttributes, level
 from dssmsg.events import WindowEvaluated
 from dssmsg.frame import FloatArray, Frame, Observation
-from dssmsg.geometry import box_iou
+from dssmsg.geometry import box_iou, boxes_touch, grow_box
 from dssmsg.graph import transitions
 from dssmsg.graph.appearance import Newcomer, base_evidence
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectRemoved, Score
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
 PLUGIN = "update/dssm"
+PIECE_GAP = 0.1
+"""Metres between two boxes of one kind that come or go together up to which they are one thing."""
 
 
 class DssmConfig(PluginConfig):
@@ -60,6 +62,9 @@ class DssmConfig(PluginConfig):
         0.6, gt=0, le=1, description="Share of its points in view that must be shown free."
     )
     max_range: float = Field(4.0, gt=0, description="Farthest point that a frame says anything of, metres.")
+    min_sightings: int = Field(
+        2, ge=1, description="Detections after which a verdict may be given on a thing not believed yet."
+    )
     exchanged_below: float = Field(
         0.35, ge=0, le=1, description="s_rgb in place below which it is another one of its kind; 0: never."
     )
@@ -172,8 +177,7 @@ class DssmUpdate:
             node = self._graph.objects[object_id]
             if node.status != BELIEVED or node.dynamic_attribute is not None:
                 continue
-            x, y, z = (float(length) for length in node.box_max - node.box_min)
-            estimate = self._attributes.estimate(node.label, (x, y, z), self._around(object_id))
+            estimate = self._estimate(node)
             changes.append(
                 ObjectChanged(
                     cause=Cause(PLUGIN, f"dynamic_attribute ({estimate.source.partition(':')[0]})"),
@@ -182,6 +186,26 @@ class DssmUpdate:
                 )
             )
         return changes
+
+    def _estimate(self, node: ObjectNode) -> DynamicAttribute:
+        x, y, z = (float(length) for length in node.box_max - node.box_min)
+        return self._attributes.estimate(node.label, (x, y, z), self._around(node.id))
+
+    def _attribute(self, node: ObjectNode) -> float:
+        """d_a of an object, asked for now if it has none yet."""
+        return self._estimate(node).value if node.dynamic_attribute is None else node.dynamic_attribute
+
+    def _is_borne_out(self, node: ObjectNode) -> bool:
+        """Whether a verdict may be given on an object: it is believed, or nearly.
+
+        A place that was occupied and then is free, or the other way round, speaks for a thing as views do:
+        some detections that agree on its label are enough beside it.
+        """
+        if node.status == BELIEVED:
+            return True
+        agreed = node.votes[node.label] >= 0.5 * sum(node.votes.values())
+        enough = node.observations >= self._config.min_sightings
+        return enough and agreed and not self._config.paper_exact
 
     def _around(self, object_id: str) -> list[str]:
         """Labels of the believed objects near it, nearest first."""
@@ -206,11 +230,16 @@ class DssmUpdate:
                 *transitions.frame_scores(frames, self._config.k),
                 Score("free_share", item.values.get("free", 0.0), self._config.free_share),
             )
-            if node.status != BELIEVED:
+            was_there = node.id in self._known and self._is_borne_out(node)
+            if node.status != BELIEVED and not was_there:
                 verdicts[node.id] = "corrected"
                 self._forget(node.id)
                 changes.append(transitions.corrected(node.id, Cause(PLUGIN, "corrected"), scores))
-            elif node.dynamic_attribute is None or level(node.dynamic_attribute) < 3:
+            elif (whole := self._left_with(node)) is not None:
+                verdicts[node.id] = f"a piece of {whole}"
+                self._forget(node.id)
+                changes.append(transitions.corrected(node.id, Cause(PLUGIN, "left_piece"), scores))
+            elif level(self._attribute(node)) < 3:
                 verdicts[node.id] = DISAPPEARED
                 changes += self._vanish(node, "disappeared", node.frames[-1], scores)
         return changes
@@ -269,17 +298,24 @@ class DssmUpdate:
         viewpoint_id: str | None,
         verdicts: dict[str, str],
     ) -> list[Change]:
-        """Believed new objects whose place k earlier frames showed free."""
+        """New objects, believed or seen often enough, whose place k earlier frames showed free."""
         changes: list[Change] = []
         for object_id in object_ids:
             node = self._graph.objects[object_id]
-            if object_id not in self._new or node.status != BELIEVED or object_id in verdicts:
+            if object_id not in self._new or object_id in verdicts or not self._is_borne_out(node):
                 continue
             tested = self._new[object_id]
             if node.observations < 2 * tested:
                 continue  # ask again when it is known twice as well
             self._new[object_id] = node.observations
             free = self._base_frames(node, viewpoint_id)
+            whole = self._came_with(node)
+            if whole is not None and whole not in verdicts and len(free) >= self._config.k:
+                verdicts[object_id] = f"a piece of {whole}"
+                self._forget(object_id)
+                scores = transitions.frame_scores(free, self._config.k)
+                changes.append(transitions.piece(whole, object_id, Cause(PLUGIN, "piece"), scores))
+                continue
             has_appeared = len(free) >= self._config.k
             self._pairing.arrive(object_id, free_before=has_appeared)
             if has_appeared:
@@ -287,8 +323,40 @@ class DssmUpdate:
                 verdicts[object_id] = APPEARED
                 self._shown_free[object_id] = tuple(free)
                 scores = transitions.frame_scores(free, self._config.k)
-                changes.append(transitions.appeared(object_id, Cause(PLUGIN, "appeared"), scores))
+                believe = node.status != BELIEVED
+                cause = Cause(PLUGIN, "appeared")
+                changes.append(transitions.appeared(object_id, cause, scores, believe=believe))
         return changes
+
+    def _came_with(self, node: ObjectNode) -> str | None:
+        """A thing of its kind that touches a new object and has come itself: the object is a piece of it.
+
+        One mask for the body of a guitar, one for its neck; a frame that shows both keeps them apart.
+        """
+        if self._config.paper_exact:
+            return None
+        for object_id in self._graph.objects_touching(*grow_box(node.box_min, node.box_max, PIECE_GAP)):
+            other = self._graph.objects[object_id]
+            come = other.state in (APPEARED, MOVED) and other.id in self._seen_this_visit
+            if come and other.id != node.id and other.label == node.label:
+                return object_id
+        return None
+
+    def _left_with(self, node: ObjectNode) -> str | None:
+        """A thing of its kind that touched a vanished object and has gone itself, moved on or not."""
+        if self._config.paper_exact:
+            return None
+        left = [(gone.id, gone.label, gone.box_min, gone.box_max) for gone in self._pairing.gone()]
+        left += [
+            (place.object_id, place.label, place.box_min, place.box_max)
+            for place in self._graph.history.values()
+            if place.to_time >= node.last_seen
+        ]
+        low, high = grow_box(node.box_min, node.box_max, PIECE_GAP)
+        for object_id, label, box_min, box_max in left:
+            if object_id != node.id and label == node.label and boxes_touch(low, high, box_min, box_max):
+                return object_id
+        return None
 
     def _base_frames(self, node: ObjectNode, viewpoint_id: str | None) -> Sequence[int]:
         """O_base: frames from before an object was first seen that show its place without it."""
