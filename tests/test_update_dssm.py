@@ -214,3 +214,26 @@ def test_folding_the_changes_gives_the_graph_and_two_runs_the_same_changes():
     first, second = run(), run()
     assert same(SceneGraph.fold(first.changes), first.graph)
     assert same(first.graph, second.graph)
+
+
+def halves(x, y):
+    """A guitar that perception sees as two things of one label: its body and its neck."""
+    body = Painted(Thing("guitar", (x - 0.15, y - 0.15, 0.0), (x + 0.15, y + 0.15, 0.3)), RED)
+    neck = Painted(Thing("guitar", (x - 0.15, y - 0.15, 0.32), (x + 0.15, y + 0.15, 0.8)), BLUE)
+    return [body, neck]
+
+
+def test_pieces_that_come_together_appear_once():
+    room = ChangingRoom()
+    room.visit(ROOM)
+    room.visit([*ROOM, *halves(0.9, 0.4)])
+    (guitar,) = [node for node in room.named("guitar") if node.state == "appeared"]
+    assert guitar.box_max[2] == pytest.approx(0.8, abs=0.05), "all of it"
+
+
+def test_pieces_that_leave_together_are_one_thing():
+    room = ChangingRoom()
+    room.visit([*ROOM, *halves(0.9, 0.4)])
+    assert len(room.named("guitar")) == 2
+    room.visit(ROOM)
+    assert room.one("guitar").state == "disappeared"

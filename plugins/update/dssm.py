@@ -21,7 +21,7 @@ from pydantic import Field
 from dssmsg.dynamic_attribute import DynamicAttribute, DynamicAttributes, level
 from dssmsg.events import WindowEvaluated
 from dssmsg.frame import FloatArray, Frame, Observation
-from dssmsg.geometry import box_iou, boxes_touch, grow_box
+from dssmsg.geometry import box_iou
 from dssmsg.graph import transitions
 from dssmsg.graph.appearance import Newcomer, base_evidence
 from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectRemoved, Score
@@ -30,6 +30,7 @@ from dssmsg.graph.ids import id_order
 from dssmsg.graph.memory import ViewpointWindows
 from dssmsg.graph.nodes import APPEARED, BELIEVED, DISAPPEARED, MOVED, NEAR, SEES, STATIC, ObjectNode
 from dssmsg.graph.pairing import Pair, Pairing, PairingRule
+from dssmsg.graph.pieces import came_with, left_with
 from dssmsg.graph.presence import ColorRule, Presence
 from dssmsg.graph.verdicts import MISSED, SEEN, Evidence
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
 PLUGIN = "update/dssm"
-PIECE_GAP = 0.1
-"""Metres between two boxes of one kind that come or go together up to which they are one thing."""
 
 
 class DssmConfig(PluginConfig):
@@ -235,7 +234,7 @@ class DssmUpdate:
                 verdicts[node.id] = "corrected"
                 self._forget(node.id)
                 changes.append(transitions.corrected(node.id, Cause(PLUGIN, "corrected"), scores))
-            elif (whole := self._left_with(node)) is not None:
+            elif (whole := self._whole_that_left(node, verdicts)) is not None:
                 verdicts[node.id] = f"a piece of {whole}"
                 self._forget(node.id)
                 changes.append(transitions.corrected(node.id, Cause(PLUGIN, "left_piece"), scores))
@@ -243,6 +242,20 @@ class DssmUpdate:
                 verdicts[node.id] = DISAPPEARED
                 changes += self._vanish(node, "disappeared", node.frames[-1], scores)
         return changes
+
+    def _whole_that_left(self, node: ObjectNode, verdicts: Mapping[str, str]) -> str | None:
+        if self._config.paper_exact:
+            return None
+        now = [self._graph.objects[i] for i, verdict in verdicts.items() if verdict == DISAPPEARED]
+        return left_with(self._graph, node, [*now, *self._pairing.gone()])
+
+    def _come(self, verdicts: Mapping[str, str]) -> set[str]:
+        """What has appeared or was moved here, as far as this visit has seen it."""
+        if self._config.paper_exact:
+            return set()
+        seen = (self._graph.objects.get(object_id) for object_id in self._seen_this_visit)
+        before = {node.id for node in seen if node is not None and node.state in (APPEARED, MOVED)}
+        return before | {object_id for object_id, verdict in verdicts.items() if verdict == APPEARED}
 
     def _exchanges(
         self, observed: Mapping[str, Observation], viewpoint_id: str | None, verdicts: dict[str, str]
@@ -309,8 +322,8 @@ class DssmUpdate:
                 continue  # ask again when it is known twice as well
             self._new[object_id] = node.observations
             free = self._base_frames(node, viewpoint_id)
-            whole = self._came_with(node)
-            if whole is not None and whole not in verdicts and len(free) >= self._config.k:
+            whole = came_with(self._graph, node, self._come(verdicts))
+            if whole is not None and len(free) >= self._config.k:
                 verdicts[object_id] = f"a piece of {whole}"
                 self._forget(object_id)
                 scores = transitions.frame_scores(free, self._config.k)
@@ -327,36 +340,6 @@ class DssmUpdate:
                 cause = Cause(PLUGIN, "appeared")
                 changes.append(transitions.appeared(object_id, cause, scores, believe=believe))
         return changes
-
-    def _came_with(self, node: ObjectNode) -> str | None:
-        """A thing of its kind that touches a new object and has come itself: the object is a piece of it.
-
-        One mask for the body of a guitar, one for its neck; a frame that shows both keeps them apart.
-        """
-        if self._config.paper_exact:
-            return None
-        for object_id in self._graph.objects_touching(*grow_box(node.box_min, node.box_max, PIECE_GAP)):
-            other = self._graph.objects[object_id]
-            come = other.state in (APPEARED, MOVED) and other.id in self._seen_this_visit
-            if come and other.id != node.id and other.label == node.label:
-                return object_id
-        return None
-
-    def _left_with(self, node: ObjectNode) -> str | None:
-        """A thing of its kind that touched a vanished object and has gone itself, moved on or not."""
-        if self._config.paper_exact:
-            return None
-        left = [(gone.id, gone.label, gone.box_min, gone.box_max) for gone in self._pairing.gone()]
-        left += [
-            (place.object_id, place.label, place.box_min, place.box_max)
-            for place in self._graph.history.values()
-            if place.to_time >= node.last_seen
-        ]
-        low, high = grow_box(node.box_min, node.box_max, PIECE_GAP)
-        for object_id, label, box_min, box_max in left:
-            if object_id != node.id and label == node.label and boxes_touch(low, high, box_min, box_max):
-                return object_id
-        return None
 
     def _base_frames(self, node: ObjectNode, viewpoint_id: str | None) -> Sequence[int]:
         """O_base: frames from before an object was first seen that show its place without it."""
