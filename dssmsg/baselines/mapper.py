@@ -26,6 +26,7 @@ from dssmsg.graph.changes import (
 from dssmsg.graph.fusion import counted, winner
 from dssmsg.graph.ids import IdAllocator, id_order
 from dssmsg.graph.nodes import BELIEVED
+from dssmsg.graph.observed import added, merged
 from dssmsg.graph.view import GraphView
 
 
@@ -158,20 +159,8 @@ class GreedyMapper:
         if nearest is not None:
             terms = nearest.terms({"score": self._method.accept})
             scores = (*terms, Score("best_object", float(id_order(nearest.object_id)[1])))
-        return ObjectAdded(
-            cause=Cause(self._method.plugin, "new"),
-            scores=scores,
-            object_id=self._ids.new("object"),
-            label=observation.label,
-            score=vote,
-            points=observation.points_world,
-            colors=observation.colors,
-            viewpoint_id=viewpoint_id,
-            range_m=observation.range_m,
-            detection=observation.detection_index,
-            text_feature=observation.text_feature,
-            image_feature=observation.image_feature,
-        )
+        object_id, cause = self._ids.new("object"), Cause(self._method.plugin, "new")
+        return added(observation, object_id, viewpoint_id, cause, scores, vote=vote)
 
     def _merged(
         self,
@@ -183,24 +172,9 @@ class GreedyMapper:
         known: bool,
     ) -> ObjectMerged:
         """A merge; with `known` (the graph shows the object's cloud as it is) of its new voxels alone."""
-        points, colors = observation.points_world, observation.colors
-        if known:
-            novel = ~self._graph.known_voxels(object_id, points)
-            points, colors = points[novel], colors[novel]
-        return ObjectMerged(
-            cause=Cause(self._method.plugin, "merge"),
-            scores=pair.terms({"score": self._method.accept}),
-            object_id=object_id,
-            label=observation.label,
-            score=vote,
-            points=points,
-            colors=colors,
-            viewpoint_id=viewpoint_id,
-            range_m=observation.range_m,
-            detection=observation.detection_index,
-            text_feature=observation.text_feature,
-            image_feature=observation.image_feature,
-        )
+        novel = ~self._graph.known_voxels(object_id, observation.points_world) if known else None
+        scores, cause = pair.terms({"score": self._method.accept}), Cause(self._method.plugin, "merge")
+        return merged(observation, object_id, viewpoint_id, cause, scores, novel=novel, vote=vote)
 
     # -- the map -------------------------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ from dssmsg.graph.fusion import appended, counted
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.joining import Join, aligned_pieces, contained_pieces
 from dssmsg.graph.nodes import BELIEVED, DISAPPEARED, ObjectNode
+from dssmsg.graph.observed import added, merged
 from dssmsg.graph.scoring import (
     assign,
     confidence,
@@ -164,10 +165,10 @@ class DssmAssociation:
                 {observation.label: observation.score}, () if viewpoint_id is None else (viewpoint_id,), False
             )
             if pair is None:
-                added = self._added(observation, pairs, viewpoint_id)
-                standings[added.object_id] = vote
-                changes.append(added)
-                self._touched.add(added.object_id)
+                fresh = self._added(observation, pairs, viewpoint_id)
+                standings[fresh.object_id] = vote
+                changes.append(fresh)
+                self._touched.add(fresh.object_id)
                 continue
             object_id = into.get(pair.object_id, pair.object_id)
             parts = [pair.object_id, *(part for part, whole in into.items() if whole == object_id), object_id]
@@ -296,20 +297,7 @@ class DssmAssociation:
             scores = (*self._scores(best), Score("best_object", float(id_order(best.object_id)[1])))
             if best.s >= self._config.delta_sim:
                 rule = "new_taken" if best.allowed else "new_unlike"
-        return ObjectAdded(
-            cause=Cause(PLUGIN, rule),
-            scores=scores,
-            object_id=self._ids.new("object"),
-            label=observation.label,
-            score=observation.score,
-            points=observation.points_world,
-            colors=observation.colors,
-            viewpoint_id=viewpoint_id,
-            range_m=observation.range_m,
-            detection=observation.detection_index,
-            text_feature=observation.text_feature,
-            image_feature=observation.image_feature,
-        )
+        return added(observation, self._ids.new("object"), viewpoint_id, Cause(PLUGIN, rule), scores)
 
     def _nearest(self, observation: Observation, pairs: list[_Pair]) -> _Pair | None:
         """The pair that came nearest to a merge, its s_geo made exact where a bound was enough so far."""
@@ -340,20 +328,8 @@ class DssmAssociation:
         novel = np.full(len(observation.points_world), grows or self._config.paper_exact)
         for part in dict.fromkeys(parts):
             novel &= ~self._graph.known_voxels(part, observation.points_world)
-        return ObjectMerged(
-            cause=Cause(PLUGIN, "merge"),
-            scores=self._scores(pair),
-            object_id=object_id,
-            label=observation.label,
-            score=observation.score,
-            points=observation.points_world[novel],
-            colors=observation.colors[novel],
-            viewpoint_id=viewpoint_id,
-            range_m=observation.range_m,
-            detection=observation.detection_index,
-            text_feature=observation.text_feature,
-            image_feature=observation.image_feature,
-        )
+        cause = Cause(PLUGIN, "merge")
+        return merged(observation, object_id, viewpoint_id, cause, self._scores(pair), novel=novel)
 
     def _scores(self, pair: _Pair) -> tuple[Score, ...]:
         """Every term of a pair's decision with what it was held against."""

@@ -24,11 +24,12 @@ from dssmsg.frame import FloatArray, Frame, Observation
 from dssmsg.geometry import box_iou
 from dssmsg.graph import transitions
 from dssmsg.graph.appearance import Newcomer, base_evidence
-from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectRemoved, Score
+from dssmsg.graph.changes import Cause, Change, ObjectChanged, ObjectRemoved, Score
 from dssmsg.graph.evidence import SightRule, View
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.memory import ViewpointWindows
 from dssmsg.graph.nodes import APPEARED, BELIEVED, DISAPPEARED, MOVED, NEAR, SEES, STATIC, ObjectNode
+from dssmsg.graph.observed import added
 from dssmsg.graph.pairing import Pair, Pairing, PairingRule
 from dssmsg.graph.pieces import came_with, left_with
 from dssmsg.graph.presence import ColorRule, Presence
@@ -274,22 +275,7 @@ class DssmUpdate:
             scores = transitions.frame_scores(frames, self._config.k)
             cause = Cause(PLUGIN, "exchanged")
             new_id = self._ids.new("object")
-            changes.append(
-                ObjectAdded(
-                    cause=cause,
-                    scores=scores,
-                    object_id=new_id,
-                    label=observation.label,
-                    score=observation.score,
-                    points=observation.points_world,
-                    colors=observation.colors,
-                    viewpoint_id=viewpoint_id,
-                    range_m=observation.range_m,
-                    detection=observation.detection_index,
-                    text_feature=observation.text_feature,
-                    image_feature=observation.image_feature,
-                )
-            )
+            changes.append(added(observation, new_id, viewpoint_id, cause, scores))
             changes.append(transitions.appeared(new_id, cause, scores))
             changes += self._vanish(node, "exchanged", self._presence.last_itself(object_id), scores)
             verdicts[object_id], verdicts[new_id] = DISAPPEARED, APPEARED
