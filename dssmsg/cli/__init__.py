@@ -16,6 +16,7 @@ import typer
 
 from dssmsg import __version__
 from dssmsg.cli import evaluate, explain, models, query, recordings
+from dssmsg.cli.options import ConfigOption, JsonOption
 
 # Plain help: rich would take as long to import as everything else together.
 app = typer.Typer(
@@ -31,15 +32,10 @@ ConfigArgument = Annotated[
         metavar="CONFIG", help="YAML file; else ./dssmsg.yaml, else the packaged one.", show_default=False
     ),
 ]
-ConfigOption = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."),
-]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Set one value, like perception.use=oracle; repeatable."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")]
 
 
 def _print_version(wanted: bool) -> None:

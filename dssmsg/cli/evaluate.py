@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dssmsg.cli import evaluate_navigation, evaluate_table4, evaluate_tables
+from dssmsg.cli.options import ConfigOption, JsonOption, ScenesOption, SetOption
 from dssmsg.errors import StorageError
 
 if TYPE_CHECKING:
@@ -24,13 +25,6 @@ class Assets(enum.StrEnum):
 
     REAL = "real"
     EMBEDDED = "embedded"
-
-
-ConfigOption = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."),
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -71,16 +65,13 @@ def register(app: typer.Typer) -> None:
 
     @group.command()
     def static(
-        scenes: Annotated[str, typer.Option(metavar="A,B", help="Scenes, by name.")] = "rs_int,ihlen_1_int",
+        scenes: ScenesOption = "rs_int,ihlen_1_int",
         perception: Annotated[
             str, typer.Option(metavar="A,B", help="Perception plug-ins, by name.")
         ] = "furniture,oracle",
         seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each, with seeds from 0.")] = 5,
         config: ConfigOption = None,
-        sets: Annotated[
-            list[str] | None,
-            typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be given often."),
-        ] = None,
+        sets: SetOption = None,
         work: Annotated[
             Path | None,
             typer.Option(

@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from dssmsg.cli.options import ConfigOption, JsonOption, SetOption
+
 
 def register(group: typer.Typer) -> None:
     """Add the command to the group `eval`."""
@@ -28,21 +30,13 @@ def register(group: typer.Typer) -> None:
         ] = 3,
         record: Annotated[bool, typer.Option("--record", help="Keep a recording of every run.")] = False,
         failures: Annotated[bool, typer.Option("--failures", help="Tell on stderr what went wrong.")] = False,
-        config: Annotated[
-            Path | None,
-            typer.Option(
-                "--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."
-            ),
-        ] = None,
-        sets: Annotated[
-            list[str] | None,
-            typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be given often."),
-        ] = None,
+        config: ConfigOption = None,
+        sets: SetOption = None,
         work: Annotated[
             Path | None,
             typer.Option(metavar="FOLDER", help="Keep finished episodes here, and use those that are there."),
         ] = None,
-        as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")] = False,
+        as_json: JsonOption = False,
     ) -> None:
         """Goals in words, driven to in homes that change: success, SPL, re-plans, failure reasons.
 

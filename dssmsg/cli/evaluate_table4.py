@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from dssmsg.cli.options import ConfigOption, JsonOption, ScenesOption, SetOption
+
 
 def register(group: typer.Typer) -> None:
     """Add the command to the group `eval`."""
@@ -18,7 +20,7 @@ def register(group: typer.Typer) -> None:
         methods: Annotated[
             str, typer.Option(metavar="A,B", help="Of dssm, dssm_paper, image, objects, objects_core.")
         ] = "dssm,dssm_paper,image,objects",
-        scenes: Annotated[str, typer.Option(metavar="A,B", help="Scenes, by name.")] = "rs_int,ihlen_1_int",
+        scenes: ScenesOption = "rs_int,ihlen_1_int",
         perception: Annotated[str, typer.Option(metavar="A,B", help="Perception plug-ins.")] = "furniture",
         seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each, with seeds from 0.")] = 1,
         when: Annotated[
@@ -31,21 +33,13 @@ def register(group: typer.Typer) -> None:
             bool,
             typer.Option("--failures", help="Tell on stderr what `dssm` got wrong, and how it was read."),
         ] = False,
-        config: Annotated[
-            Path | None,
-            typer.Option(
-                "--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."
-            ),
-        ] = None,
-        sets: Annotated[
-            list[str] | None,
-            typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be given often."),
-        ] = None,
+        config: ConfigOption = None,
+        sets: SetOption = None,
         work: Annotated[
             Path | None,
             typer.Option(metavar="FOLDER", help="Keep recordings here, and use those that are there."),
         ] = None,
-        as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")] = False,
+        as_json: JsonOption = False,
     ) -> None:
         """Table IV: sentences answered with ranked viewpoints, recall at 1, 2 and 3.
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dssmsg.cli.options import ConfigOption, JsonOption, ScenesOption, SetOption
+
 if TYPE_CHECKING:
     from dssmsg.evaluate.replays import Case, Setup
     from dssmsg.evaluate.tables import Row
@@ -38,23 +40,14 @@ MethodsOption = Annotated[
     str,
     typer.Option(metavar="A,B", help="Of dssm, dssm_paper_exact, conceptgraphs, dovsg, none."),
 ]
-ScenesOption = Annotated[str, typer.Option(metavar="A,B", help="Scenes, by name.")]
 SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="Homes of each scene, seeds from 0.")]
 PerceptionOption = Annotated[Perception, typer.Option(help="Whose detections all methods are given.")]
 JobsOption = Annotated[int, typer.Option(min=1, max=64, help="Homes worked on at a time.")]
-ConfigOption = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."),
-]
-SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be given often.")
-]
 WorkOption = Annotated[
     Path | None,
     typer.Option(metavar="FOLDER", help="Keep recordings, scores, CSV and PNG here; go on where it stopped."),
 ]
 FigureOption = Annotated[bool, typer.Option("--figure/--no-figure", help="Draw a PNG into --work.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")]
 METHODS = "dssm,dssm_paper_exact,conceptgraphs,dovsg,none"
 SCENES = "rs_int,ihlen_1_int"
 IDENTITY = {"swap": 1, "put_back": 1}

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from dssmsg.cli.options import JsonOption
 from dssmsg.cli.recordings import RecordingArgument, chosen
 
 
@@ -19,7 +20,7 @@ def register(app: typer.Typer) -> None:
         object_id: Annotated[
             str, typer.Option("--object", metavar="ID", help="The life of an object, like object-12.")
         ] = "",
-        as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")] = False,
+        as_json: JsonOption = False,
     ) -> None:
         """Tell the life of an object: detections, merges with their scores, evidence, verdicts, places."""
         show_explanation(recording, object_id, as_json=as_json)

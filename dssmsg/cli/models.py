@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")]
+from dssmsg.cli.options import JsonOption
 
 
 def register(app: typer.Typer) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dssmsg.cli.options import ConfigOption, JsonOption
+
 if TYPE_CHECKING:
     from dssmsg.config import RunConfig
     from dssmsg.interfaces import Grounding, Llm, TargetGraph
@@ -27,17 +29,12 @@ def register(app: typer.Typer) -> None:
             typer.Option("--at", metavar="TIME", help="frame=120, time=24.5 or update=300; else the end."),
         ] = None,
         top: Annotated[int, typer.Option(min=1, max=1000, help="Candidates to print.")] = 5,
-        config: Annotated[
-            Path | None,
-            typer.Option(
-                "--config", metavar="FILE", help="YAML file; else ./dssmsg.yaml, else the packaged one."
-            ),
-        ] = None,
+        config: ConfigOption = None,
         sets: Annotated[
             list[str] | None,
             typer.Option("--set", metavar="KEY=VALUE", help="Set one value, like grounding.use=objects."),
         ] = None,
-        as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")] = False,
+        as_json: JsonOption = False,
     ) -> None:
         """Say from where in a recorded map a sentence is answered, and why.
 

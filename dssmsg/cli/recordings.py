@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dssmsg.cli.options import JsonOption
+
 if TYPE_CHECKING:
     from dssmsg.recording.reader import Recording
 
@@ -63,7 +65,7 @@ def register(app: typer.Typer) -> None:
     @app.command()
     def inspect(
         recording: RecordingArgument = None,
-        as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout, errors too.")] = False,
+        as_json: JsonOption = False,
     ) -> None:
         """Say what happened in a run: phases, changes, episodes, errors, timings."""
         from dssmsg.cli.output import print_json

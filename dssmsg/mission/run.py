@@ -280,6 +280,7 @@ class Mission:
                 later = self._config.mission.seek_visit == "next"
                 self._begin("seek", max(self._visit + later, 0))
                 self._seek()
+                self._end_visit()
             else:
                 self._begin(phase, self._visit + 1)
                 self._survey()
