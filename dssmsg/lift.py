@@ -41,9 +41,9 @@ class Lifter:
     pixels with depth and again of the final voxels' cluster; `voxel` is the side of world-aligned cells
     floor(p / voxel), each represented by the mean of its points; `eps` and `min_neighbours` (the point
     itself counted) define density clusters. Of these the largest is the thing, and so is, beyond the paper,
-    any other of at least `part_share` of its size within `part_gap` of what is kept already: behind a chair
-    a table shows in two parts, and keeping the larger alone makes it two tables once the parts have been the
-    larger in turn (1.0 keeps the largest alone). A mask pixel beside a pixel outside the mask counts as rim,
+    any other of at least `part_share` of its size within `part_gap`, and no farther than it is large, of what
+    is kept already: behind a chair a table shows in two parts, and keeping the larger alone makes it two tables
+    once the parts have been the larger in turn (1.0 keeps the largest alone). A mask pixel beside a pixel outside the mask counts as rim,
     and is left out where the two depths differ by more than `step` plus `step_ratio` of the depth.
     """
 
@@ -156,7 +156,8 @@ class Lifter:
             if self.part_share >= 1.0 or sizes[cluster] < least:
                 break
             part = np.flatnonzero(labels == cluster)
-            gaps, _ = KDTree(points[kept]).query(points[part], distance_upper_bound=self.part_gap)
+            gap = min(self.part_gap, float(np.linalg.norm(np.ptp(points[kept], axis=0))))
+            gaps, _ = KDTree(points[kept]).query(points[part], distance_upper_bound=gap)
             if np.isfinite(gaps).any():
                 kept = np.sort(np.concatenate([kept, part]))
         return kept

@@ -30,8 +30,14 @@ class BaseEvidence:
     taken: tuple[int, ...]
 
     def shows_free(self, k: int) -> bool:
-        """At least k frames show the place free, and most of those that tell anything do."""
-        return len(self.free) >= k and len(self.free) > 2 * len(self.taken)
+        """At least k frames show the place free, and most of those that tell anything up to the last of them.
+
+        What shows it taken after that is the new object itself, not detected yet.
+        """
+        if len(self.free) < k:
+            return False
+        earlier = [frame for frame in self.taken if frame < self.free[-1]]
+        return len(self.free) > 2 * len(earlier)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

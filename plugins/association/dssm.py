@@ -10,29 +10,34 @@ It keeps next to nothing of its own: which objects were touched since the last m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial import KDTree
 
 from dssmsg.frame import Frame, Observation
-from dssmsg.geometry import Sight, grow_box, points_in_box, sight_of_points
-from dssmsg.graph.changes import Cause, Change, ObjectAdded, ObjectChanged, ObjectMerged, ObjectsJoined, Score
-from dssmsg.graph.evidence import SightRule, View, look_at, telling
+from dssmsg.graph.candidates import CandidateRule, Candidates, Pair
+from dssmsg.graph.changes import (
+    Cause,
+    Change,
+    ObjectAdded,
+    ObjectChanged,
+    ObjectMerged,
+    ObjectReplaced,
+    ObjectsJoined,
+    Score,
+)
+from dssmsg.graph.extent import Extents, shrinks
 from dssmsg.graph.fusion import appended, counted
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.joining import Join, aligned_pieces, contained_pieces
-from dssmsg.graph.nodes import BELIEVED, DISAPPEARED, ObjectNode
+from dssmsg.graph.nodes import BELIEVED, ObjectNode
 from dssmsg.graph.observed import added, merged
 from dssmsg.graph.scoring import (
     assign,
     confidence,
-    neighbour_share,
     neighbour_tolerance,
-    sampled_share,
-    semantic_similarity,
 )
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
@@ -40,7 +45,6 @@ if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
 PLUGIN = "association/dssm"
-_SIGHT = SightRule()
 
 
 class DssmConfig(PluginConfig):
@@ -75,6 +79,12 @@ class DssmConfig(PluginConfig):
     grow_min_score: float = Field(
         0.5, ge=0, le=1, description="A detection below this score adds no points to a believed object."
     )
+    extent_share: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="A point in fewer of the masks that should hold it is cut off; 0: all are kept.",
+    )
     merge_every: int = Field(20, ge=1, description="Key frames between two passes that join split objects.")
     max_free_share: float = Field(
         0.5,
@@ -97,24 +107,6 @@ class DssmConfig(PluginConfig):
     sample: int = Field(
         512, ge=64, description="Points of a cloud asked for neighbours first; all where a threshold is near."
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """The scores of one observation against one object."""
-
-    object_id: str
-    s_geo: float
-    s_sem: float
-    overlap: float | None
-    """Mutual overlap; None where it was not asked for."""
-    allowed: bool
-    exact: bool
-    """False: s_geo is only an upper bound, too low for a merge."""
-
-    @property
-    def s(self) -> float:
-        return self.s_geo + self.s_sem
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +135,19 @@ class DssmAssociation:
         self._ids = context.ids
         self._noise = (0.0, 0.0) if context.source is None else context.source.depth_noise_m
         self._unnamed = frozenset(config.unnamed_labels)
+        rule = CandidateRule(
+            delta_sim=config.delta_sim,
+            paper_exact=config.paper_exact,
+            merge_min_semantic=config.merge_min_semantic,
+            merge_min_overlap=config.merge_min_overlap,
+            max_free_share=config.max_free_share,
+            unnamed_labels=self._unnamed,
+            sample=config.sample,
+        )
+        self._candidates = Candidates(context.graph, rule, self._noise)
         self._key_frames = 0
-        self._view: tuple[Frame, View] | None = None
+        keeps_all = config.paper_exact or config.extent_share == 0.0
+        self._extents = None if keeps_all else Extents(config.extent_share)
         self._touched: set[str] = set()
         self._visited: set[str] = set()
 
@@ -152,7 +155,7 @@ class DssmAssociation:
         self, frame: Frame, observations: Sequence[Observation], viewpoint_id: str | None
     ) -> Sequence[Change]:
         """Joins if a pass is due, one `ObjectAdded` or `ObjectMerged` an observation, then beliefs."""
-        scored = [self._score(frame, observation) for observation in observations]
+        scored = [self._candidates.pairs(frame, observation) for observation in observations]
         chosen = self._assign(observations, scored)
         matched = {pair.object_id for pair in chosen if pair is not None}
         self._key_frames += 1
@@ -171,6 +174,8 @@ class DssmAssociation:
                 self._touched.add(fresh.object_id)
                 continue
             object_id = into.get(pair.object_id, pair.object_id)
+            if object_id == pair.object_id and object_id not in into.values():
+                changes += self._cut(frame, observation, observations, object_id)
             parts = [pair.object_id, *(part for part, whole in into.items() if whole == object_id), object_id]
             changes.append(self._merged(observation, pair, object_id, parts, viewpoint_id))
             known = standings.get(object_id) or _standing(self._graph.objects[object_id])
@@ -188,80 +193,11 @@ class DssmAssociation:
         """
         joins = self._end_joins()
         _, standings = self._after(joins)
+        if self._extents is not None:
+            self._extents.forget_all_but(self._graph.objects)
         return [*joins, *self._beliefs(standings)]
 
-    # -- scores -------------------------------------------------------------------------------------------
-
-    def _score(self, frame: Frame, observation: Observation) -> list[_Pair]:
-        """Scores against every object that the observation's box, grown by the tolerance, touches."""
-        tolerance = neighbour_tolerance(observation.range_m, self._noise)
-        observation_tree: KDTree | None = None
-        pairs = []
-        for object_id in self._graph.objects_touching(
-            *grow_box(observation.box_min, observation.box_max, tolerance)
-        ):
-            node = self._graph.objects[object_id]
-            if node.state == DISAPPEARED:
-                continue  # what is seen in its place is another thing, until the update finds it is the same
-            s_sem = semantic_similarity(
-                observation.label, observation.text_feature, node.label, node.text_feature, self._unnamed
-            )
-            alike = self._config.paper_exact or s_sem >= self._config.merge_min_semantic
-            needed = self._config.delta_sim - s_sem
-            if not alike:
-                needed = max(needed, self._config.merge_min_overlap)
-            s_geo, exact = self._share(observation, node, tolerance, needed)
-            overlap = None
-            if s_geo >= needed and not alike:
-                observation_tree = observation_tree or KDTree(observation.points_world)
-                overlap = min(s_geo, self._covered(frame, node, observation_tree, tolerance))
-            enough = alike or (overlap is not None and overlap >= self._config.merge_min_overlap)
-            allowed = 0.0 < s_geo >= needed and enough
-            if allowed and not self._config.paper_exact and node.observations > 1:
-                cloud = node.points[telling(node.points)]
-                sight = look_at(cloud, self._seen_in(frame), self._noise, _SIGHT)
-                allowed = sight.free < self._config.max_free_share
-            pairs.append(_Pair(object_id, s_geo, s_sem, overlap, allowed, exact))
-        return pairs
-
-    def _seen_in(self, frame: Frame) -> View:
-        """The frame made ready to be asked about places; made once a frame."""
-        if self._view is None or self._view[0] is not frame:
-            self._view = (frame, View.of(frame))
-        return self._view[1]
-
-    def _share(
-        self, observation: Observation, node: ObjectNode, tolerance: float, needed: float
-    ) -> tuple[float, bool]:
-        """s_geo and True; or an upper bound of it, below `needed` and so too low for a merge, and False.
-
-        Points outside the object's box are off it without asking; often that settles it.
-        """
-        points = observation.points_world
-        near = points[points_in_box(points, *grow_box(node.box_min, node.box_max, tolerance))]
-        bound = len(near) / len(points)
-        if bound == 0.0 or bound < needed:
-            return bound, bound == 0.0
-        share = sampled_share(
-            near, self._graph.tree(node.id), tolerance, self._config.sample, (needed / bound,)
-        )
-        return bound * share, True
-
-    def _covered(self, frame: Frame, node: ObjectNode, observation_tree: KDTree, tolerance: float) -> float:
-        """Share of the object's points in sight of this frame that lie on the observation.
-
-        Only what this frame shows of the object counts: a close-up of a sofa's arm covers little of the
-        stored sofa, but all of it that is in view. 0 if nothing is.
-        """
-        count = len(node.points)
-        points = node.points
-        if count > self._config.sample:
-            points = points[(np.arange(self._config.sample) * count) // self._config.sample]
-        margin = max(tolerance, 0.05)  # two voxels: stored points are means of their cell
-        sight = sight_of_points(points, frame.depth, frame.camera, frame.world_from_camera, margin)
-        return neighbour_share(points[sight == Sight.ON_SURFACE], observation_tree, tolerance)
-
-    def _assign(self, observations: Sequence[Observation], scored: list[list[_Pair]]) -> list[_Pair | None]:
+    def _assign(self, observations: Sequence[Observation], scored: list[list[Pair]]) -> list[Pair | None]:
         """The pair to merge by for each observation, or None: one-to-one, no object gets two of one frame.
 
         A fragment of a thing lies on it as fully as the whole does, so that both reach the same s; a tie goes
@@ -284,13 +220,13 @@ class DssmAssociation:
 
     # -- changes ------------------------------------------------------------------------------------------
 
-    def _added(self, observation: Observation, pairs: list[_Pair], viewpoint_id: str | None) -> ObjectAdded:
+    def _added(self, observation: Observation, pairs: list[Pair], viewpoint_id: str | None) -> ObjectAdded:
         """A new object, with the scores of the object that came nearest to taking it.
 
         The rule says why it did not: `new` (s < delta_sim), `new_unlike` (s would do, but neither meaning nor
         overlap), `new_taken` (another observation of the frame fits that object better).
         """
-        best = self._nearest(observation, pairs)
+        best = self._candidates.nearest(observation, pairs)
         scores: tuple[Score, ...] = (Score("s", 0.0, self._config.delta_sim),)
         rule = "new"
         if best is not None:
@@ -299,24 +235,10 @@ class DssmAssociation:
                 rule = "new_taken" if best.allowed else "new_unlike"
         return added(observation, self._ids.new("object"), viewpoint_id, Cause(PLUGIN, rule), scores)
 
-    def _nearest(self, observation: Observation, pairs: list[_Pair]) -> _Pair | None:
-        """The pair that came nearest to a merge, its s_geo made exact where a bound was enough so far."""
-        tolerance = neighbour_tolerance(observation.range_m, self._noise)
-        best: _Pair | None = None
-        for pair in sorted(pairs, key=lambda pair: (not pair.allowed, -pair.s)):
-            if best is not None and (best.allowed or best.s >= pair.s):
-                break
-            if not pair.exact:
-                s_geo, _ = self._share(observation, self._graph.objects[pair.object_id], tolerance, 0.0)
-                pair = replace(pair, s_geo=s_geo, exact=True)
-            if best is None or pair.s > best.s:
-                best = pair
-        return best
-
     def _merged(
         self,
         observation: Observation,
-        pair: _Pair,
+        pair: Pair,
         object_id: str,
         parts: Sequence[str],
         viewpoint_id: str | None,
@@ -326,12 +248,43 @@ class DssmAssociation:
         believed = self._graph.objects[pair.object_id].status == BELIEVED
         grows = not believed or observation.score >= self._config.grow_min_score
         novel = np.full(len(observation.points_world), grows or self._config.paper_exact)
+        if believed and self._extents is not None:
+            novel &= self._extents.confirmed(object_id, observation.points_world)
         for part in dict.fromkeys(parts):
             novel &= ~self._graph.known_voxels(part, observation.points_world)
         cause = Cause(PLUGIN, "merge")
         return merged(observation, object_id, viewpoint_id, cause, self._scores(pair), novel=novel)
 
-    def _scores(self, pair: _Pair) -> tuple[Score, ...]:
+    def _cut(
+        self, frame: Frame, observation: Observation, observations: Sequence[Observation], object_id: str
+    ) -> list[Change]:
+        """The frame's vote on what belongs to an object; its cloud without what does not, if that tells."""
+        doubtful = observation.score < self._config.grow_min_score
+        if doubtful or self._extents is None:
+            return []
+        node = self._graph.objects[object_id]
+        others = [
+            other.points_world
+            for other in observations
+            if other is not observation and other.label in (observation.label, node.label)
+        ]
+        tolerance = neighbour_tolerance(observation.range_m, self._noise)
+        self._extents.vote(object_id, node.points, observation.points_world, others, frame, tolerance)
+        belongs = self._extents.belongs(object_id, node.points)
+        if not shrinks(node.points, belongs):
+            return []
+        share = float(np.mean(belongs))
+        return [
+            ObjectReplaced(
+                cause=Cause(PLUGIN, "cut"),
+                scores=(Score("kept_share", share), Score("extent_share", self._config.extent_share)),
+                object_id=object_id,
+                points=node.points[belongs],
+                colors=node.colors[belongs],
+            )
+        ]
+
+    def _scores(self, pair: Pair) -> tuple[Score, ...]:
         """Every term of a pair's decision with what it was held against."""
         exact = self._config.paper_exact
         terms = [
@@ -372,6 +325,8 @@ class DssmAssociation:
             gone = standings.pop(lose, None) or _standing(self._graph.objects[lose])
             standings[keep] = (standings.get(keep) or _standing(self._graph.objects[keep])).plus(gone)
             self._touched.add(keep)
+            if self._extents is not None:
+                self._extents.join(keep, lose)
         return into, standings
 
     def _beliefs(self, standings: Mapping[str, _Standing]) -> list[ObjectChanged]:

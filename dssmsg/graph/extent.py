@@ -1,0 +1,154 @@
+"""What belongs to an object: a vote of the frames on every voxel of its cloud.
+
+A cloud is the union of what masks held (ALGORITHM A.2), and some masks hold two things: one that takes the
+desk in with the mug would leave the mug as large as the desk for good. So each frame in which an object was
+detected votes on those of its voxels that it shows: inside what was detected, or outside. A voxel that is
+mostly outside is not part of the object. Beyond the paper, which keeps every point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from dssmsg.frame import Float32Array, Frame, MaskArray
+from dssmsg.geometry import Sight, sight_of_points
+from dssmsg.graph.voxels import VOXEL_M, KeyArray, voxel_keys
+
+MIN_OUTSIDE = 2
+"""Frames that must have shown a voxel outside before it is refused."""
+MIN_INSIDE = 2
+"""Frames that must have shown a voxel inside before it counts as certain."""
+MIN_SHRINK_M = 0.05
+"""A cloud is cut where its box becomes this much shorter on an axis, metres; what changes less stays."""
+_STEPS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) * VOXEL_M
+
+
+@dataclass(frozen=True, slots=True)
+class _Votes:
+    """Ascending voxel keys (N,), and how many frames showed each inside and outside."""
+
+    keys: KeyArray
+    inside: NDArray[np.int32]
+    outside: NDArray[np.int32]
+
+    @classmethod
+    def counted(cls, parts: Sequence[_Votes]) -> _Votes:
+        """The sum of several."""
+        keys, place = np.unique(np.concatenate([part.keys for part in parts]), return_inverse=True)
+        inside, outside = (np.zeros(len(keys), dtype=np.int32) for _ in range(2))
+        np.add.at(inside, place, np.concatenate([part.inside for part in parts]))
+        np.add.at(outside, place, np.concatenate([part.outside for part in parts]))
+        return cls(keys, inside, outside)
+
+
+class Extents:
+    """The votes on the voxels of all objects. `share`: a voxel inside less often than this is refused."""
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._votes: dict[str, _Votes] = {}
+
+    def vote(
+        self,
+        object_id: str,
+        cloud: Float32Array,
+        seen: Float32Array,
+        others: Sequence[Float32Array],
+        frame: Frame,
+        tolerance: float,
+    ) -> None:
+        """Count a frame in which the object of this `cloud` (N, 3) was detected as the points `seen` (M, 3).
+
+        `others` are clouds that may be further pieces of it: voxels on them get no vote. Points count as on a
+        cloud, and as shown by the frame, within `tolerance` metres.
+        """
+        sight = sight_of_points(cloud, frame.depth, frame.camera, frame.world_from_camera, tolerance)
+        shown = cloud[sight == Sight.ON_SURFACE]
+        outside = shown[~_near(shown, seen, tolerance)]
+        for other in others:
+            outside = outside[~_near(outside, other, tolerance)]
+        out_keys = np.unique(voxel_keys(outside))
+        in_keys = np.unique(np.concatenate([voxel_keys(shown), voxel_keys(seen)]))
+        in_keys = in_keys[~np.isin(in_keys, out_keys)]
+        parts = [
+            _Votes(in_keys, np.ones(len(in_keys), np.int32), np.zeros(len(in_keys), np.int32)),
+            _Votes(out_keys, np.zeros(len(out_keys), np.int32), np.ones(len(out_keys), np.int32)),
+        ]
+        if object_id in self._votes:
+            parts.append(self._votes[object_id])
+        self._votes[object_id] = _Votes.counted(parts)
+
+    def belongs(self, object_id: str, points: Float32Array) -> MaskArray:
+        """(N,) bool: which points (N, 3) are part of the object.
+
+        The votes decide on a voxel that enough frames showed; any other goes with the nearest one decided.
+        """
+        votes = self._votes.get(object_id)
+        fits: MaskArray = np.ones(len(points), dtype=np.bool_)
+        if votes is None:
+            return fits
+        place = np.searchsorted(votes.keys, keys := voxel_keys(points))
+        place[place == len(votes.keys)] = 0
+        known = votes.keys[place] == keys
+        inside, outside = (np.where(known, count[place], 0) for count in (votes.inside, votes.outside))
+        rare = inside < self._share * (inside + outside)
+        refused = rare & (outside >= MIN_OUTSIDE)
+        sure = ~rare & (inside >= MIN_INSIDE)
+        if not refused.any() or not sure.any():
+            return fits
+        decided = refused | sure
+        fits[decided] = sure[decided]
+        _, nearest = KDTree(points[decided]).query(points[~decided])
+        fits[~decided] = sure[decided][nearest]
+        return fits
+
+    def confirmed(self, object_id: str, points: Float32Array) -> MaskArray:
+        """(N,) bool: which points (N, 3) lie in a voxel that another frame had inside, or next to one."""
+        votes = self._votes.get(object_id)
+        if votes is None:
+            return np.zeros(len(points), dtype=np.bool_)
+        known = votes.keys[votes.inside > 1]
+        near: MaskArray = np.zeros(len(points), dtype=np.bool_)
+        for step in _STEPS:
+            near |= np.isin(voxel_keys(points + step), known)
+        return near
+
+    def join(self, object_id: str, absorbed_id: str) -> None:
+        """Two objects turned out to be one: what either has of the other was never outside."""
+        gone = self._votes.pop(absorbed_id, None)
+        kept = self._votes.pop(object_id, None)
+        if gone is None or kept is None:
+            return
+        self._votes[object_id] = _Votes.counted([_cleared(kept, gone), _cleared(gone, kept)])
+
+    def forget_all_but(self, object_ids: Container[str]) -> None:
+        """Drop the votes of objects that are no more."""
+        self._votes = {name: votes for name, votes in self._votes.items() if name in object_ids}
+
+
+def shrinks(cloud: Float32Array, belongs: MaskArray) -> bool:
+    """Whether leaving out what does not belong makes the box of a cloud (N, 3) clearly smaller."""
+    if belongs.all() or not belongs.any():
+        return False
+    rest = cloud[belongs]
+    return bool((np.ptp(cloud, axis=0) - np.ptp(rest, axis=0) >= MIN_SHRINK_M).any())
+
+
+def _cleared(votes: _Votes, other: _Votes) -> _Votes:
+    """Without the votes against voxels that were inside the other one."""
+    known = np.isin(votes.keys, other.keys[other.inside > 0])
+    return _Votes(votes.keys, votes.inside, np.where(known, 0, votes.outside).astype(np.int32))
+
+
+def _near(points: Float32Array, cloud: Float32Array, tolerance: float) -> MaskArray:
+    """(N,) bool: which points have a point of the cloud within the tolerance."""
+    if not len(points):
+        return np.zeros(0, dtype=np.bool_)
+    distances, _ = KDTree(cloud).query(points, distance_upper_bound=tolerance)
+    near: MaskArray = np.isfinite(distances)
+    return near
