@@ -19,6 +19,7 @@ from dssmsg.frame import Detection, Float32Array, Frame, MaskArray, Observation,
 from dssmsg.graph.changes import CHANGE_TYPES, Change
 from dssmsg.graph.view import GraphView
 from dssmsg.interfaces import Answer, Box, Command, Finding, SourceInfo, Step, UpdateResult
+from dssmsg.interfaces.diagnosis import LAYERS
 
 RIGID_TOLERANCE = 1e-3
 
@@ -217,9 +218,11 @@ def check_masks(frame: Frame, value: Any, count: int) -> tuple[MaskArray, ...]:
 
 
 def check_findings(value: Any) -> tuple[Finding, ...]:
-    """Findings of a diagnosis: how sure lies in 0..1."""
+    """Findings of a diagnosis: a layer that there is, how sure in 0..1."""
     findings = _sequence(value, Finding, "finding")
     for place, finding in enumerate(findings):
+        if finding.layer not in LAYERS:
+            raise CheckFailed(f"finding {place}: expected a layer of {', '.join(LAYERS)}, got {finding.layer!r}")
         _expect_score(finding.confidence, f"finding {place}: confidence")
     return findings
 

@@ -185,7 +185,7 @@ class RunConfig(BaseModel):
     diagnosis: tuple[Slot, ...] = Field(
         default=(),
         max_length=100,
-        description="Rules that look for the layer to blame: validated, and not run yet.",
+        description="Rules that `explain` asks for the layer to blame; none named: all there are.",
     )
     recording: RecordingConfig = Field(
         default_factory=RecordingConfig, description="Where the run is written down."

@@ -153,6 +153,15 @@ class NavigationChanged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Advised:
+    """In a replay: what navigation asked for before a frame, while the robot did what was recorded."""
+
+    frame: int
+    sim_time: float
+    command: Command
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class EpisodeEnded:
     """A goal was reached or given up: outcome success, or the named reason of the failure."""
 
@@ -217,6 +226,7 @@ Event = (
     | Matched
     | LlmCalled
     | NavigationChanged
+    | Advised
     | EpisodeEnded
     | ErrorOccurred
     | StageTimed

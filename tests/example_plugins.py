@@ -136,7 +136,7 @@ class BlindDiagnosis:
         if len(blind) < 2:
             return []
         share = len(blind) / len(recording.key_frames)
-        return [Finding("perception", blind[0], share, f"nothing seen in {len(blind)} key frames")]
+        return [Finding("detector", blind[0], share, f"nothing seen in {len(blind)} key frames")]
 
 
 @hookimpl

@@ -27,6 +27,7 @@ from dssmsg.interfaces import Context
 ROOT = Path(dssmsg.__file__).parents[1]
 COMMANDS = (
     *("init", "run", "config", "plugins", "doctor", "view", "inspect", "export", "query", "models", "eval"),
+    *("replay", "diff", "explain", "report", "episodes", "sweep"),
 )
 
 HEAVY = {"numpy", "rerun", "pydantic", "yaml", "pluggy", "rich", "scipy", "pyarrow", "dssmsg_plugins"}

@@ -227,6 +227,6 @@ def test_diagnosis_blames_blind_perception() -> None:
     rule = examples.BlindDiagnosis(PluginConfig(), context(SceneGraph()))
     recording = SimpleNamespace(key_frames=[0, 4, 9], detections=lambda index: ["one"] if index == 0 else [])
     (finding,) = checks.check_findings(rule.diagnose(recording, None))
-    assert (finding.layer, finding.frame) == ("perception", 4)
+    assert (finding.layer, finding.frame) == ("detector", 4)
     recording.key_frames = [0]
     assert not rule.diagnose(recording, None)

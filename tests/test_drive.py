@@ -193,6 +193,13 @@ def test_points_on_a_line_are_passed_without_stopping():
     assert stopping > 1.2 * passing
 
 
+def test_a_point_behind_the_robot_was_not_passed():
+    robot, driver = Unicycle(heading=math.pi), Driver()
+    command = driver.drive_to(robot.frame(), (1.0, 0.02), 0.0, then=(2.0, 0.02))
+    assert command is not None
+    assert (command.linear, abs(command.angular) > 0.3) == (0.0, True)
+
+
 def test_same_frames_same_commands():
     trails = []
     for _ in range(2):

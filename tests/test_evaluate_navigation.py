@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from test_navigation import Robot
 
+from dssmsg.evaluate import navigation_cases
 from dssmsg.evaluate.navigation import Episode, evaluate_navigation, navigation_rows, scene_list
-from dssmsg.evaluate.navigation_cases import SEEK_VISIT, Home, make_case, possible_goals
+from dssmsg.evaluate.navigation_cases import SEEK_VISIT, Goal, Home, make_case, possible_goals
 from dssmsg.evaluate.navigation_witness import EpisodeWitness, Judged
 from dssmsg.events import EpisodeEnded, FrameCaptured, PhaseStarted, TruthSeen
 from dssmsg.frame import Truth, TruthObject
@@ -155,6 +156,16 @@ def test_cases_are_the_same_for_a_seed_and_can_be_solved(flat):
     assert all(one.from_visit == SEEK_VISIT for one in case.obstacles)
     stops = [stop.at for stop in scene.tour]
     assert Occupancy(scene, [*flat.solids, *solids]).connected(stops, 0.2)
+
+
+def test_an_obstacle_that_bears_the_name_is_an_answer(flat, monkeypatch):
+    pool = [Goal("the box", ("box-1",)), Goal("something to carry books in", ("box-1",))]
+    monkeypatch.setattr(navigation_cases, "possible_goals", lambda home: pool)
+    monkeypatch.setattr(navigation_cases, "_THINGS", (("box", (0.4, 0.3, 0.4)),))
+    case = next(case for case in (make_case(flat, seed, 2, 1) for seed in range(5)) if case.obstacles)
+    targets = {goal.text: goal.targets for goal in case.goals}
+    assert targets["the box"] == ("box-1", case.obstacles[0].piece.id)
+    assert targets["something to carry books in"] == ("box-1",)
 
 
 def test_shortest_way(flat):

@@ -120,3 +120,15 @@ def test_a_wall_leaves_no_detour():
         robot.heading = float(heading)
         look(grid, robot)
     assert find_detour(grid, (0.0, 0.0), [(3.0, 0.0)]) is None
+
+
+def test_a_detour_does_not_rejoin_before_what_stands_behind_a_narrow_place():
+    """A door jamb close to the way, and right behind it a post on the next leg."""
+    grid, robot = RollingGrid(), Robot(0.0, 0.0)
+    robot.tilt, robot.posts = -0.35, [(0.9, -0.3), (1.7, 0.0)]
+    look(grid, robot)
+    way = [(1.2, 0.0), (2.6, 0.0)]
+    detour = find_detour(grid, (0.0, 0.0), way)
+    assert detour is not None
+    assert detour.leg == 1
+    assert is_clear(grid, (0.0, 0.0), [*detour.corners, way[1]], 0.18)

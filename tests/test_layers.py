@@ -46,15 +46,17 @@ ALLOWED: dict[str, set[str]] = {
     "recording": {"errors", "frame", "interfaces", "events", "geometry", "graph"},
     # what puts them together
     "mission": VALUES | HOST | TOOLS | {"graph", "llm", "navigation", "recording"},
-    "evaluate": VALUES | HOST | {"graph", "lift", "mission", "purposes", "recording", "recogniser", "sim"},
-    "review": VALUES | {"graph", "recording"},
+    "evaluate": VALUES
+    | HOST
+    | {"graph", "lift", "mission", "purposes", "recording", "recogniser", "review", "sim"},
+    "review": VALUES | {"graph", "lexicon", "recording"},
     "data": {"frame", "hookspecs"},  # the template of a plug-in
     "__main__": {"cli"},
     # `cli` may import everything, and only `__main__` imports it
 }
 PLUGINS_MAY = VALUES | TOOLS | {"config", "hookspecs", "graph"}
 PLUGIN_LIBRARIES = {
-    "baselines", "llm", "models", "navigation", "onnx", "recogniser", "recording", "sequences", "sim",
+    "baselines", "llm", "models", "navigation", "onnx", "recogniser", "recording", "review", "sequences", "sim",
 }  # fmt: skip
 
 

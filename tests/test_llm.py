@@ -235,7 +235,7 @@ def test_failures_become_findings_the_worst_first():
     errors.append(failure(9, "source/c", fatal=True, skipped=""))
     recording = SimpleNamespace(errors=lambda: errors, episodes=list)
     found = check_findings(ErrorsRule(ErrorsConfig(shown=1)).diagnose(recording, None))
-    assert [(f.layer, f.frame) for f in found] == [("source", 9), ("perception", 3), ("llm", 4)]
+    assert [(f.layer, f.frame) for f in found] == [("environment", 9), ("detector", 3), ("grounding", 4)]
     assert found[0].confidence == 1.0
     assert found[1].confidence == pytest.approx(0.25)
     assert found[1].summary == "perception/a failed 2 times and skipped work 2 times: boom at 3"

@@ -8,10 +8,11 @@ import pytest
 import yaml
 from box_scene import context
 from dssmsg_plugins.encoder import minilm
-from dssmsg_plugins.encoder.minilm import MinilmConfig, MinilmEncoder, builtin_aliases
+from dssmsg_plugins.encoder.minilm import MinilmConfig, MinilmEncoder
 
 from dssmsg.errors import PluginError
 from dssmsg.interfaces import Encoder
+from dssmsg.lexicon.aliases import builtin_aliases
 
 
 @pytest.fixture(scope="module")

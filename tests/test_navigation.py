@@ -214,6 +214,51 @@ def test_a_post_behind_the_goal_or_beside_the_way_blocks_nothing(square):
     assert not {"replan", "detour"} & {step.state for step in steps}
 
 
+def test_a_way_that_passes_closely_is_given_a_berth_where_there_is_room(square):
+    """The post's side is 0.16 m off the edge: a driven way may be as narrow, the robot is not."""
+    robot = Robot(0.0, 0.0)
+    robot.posts = [(1.5, 0.26)]
+    last, steps = seek(square, robot, ["viewpoint-2.1"])
+    assert last.outcome == "success"
+    assert not any(step.changes for step in steps)
+    assert min(math.dist(xy, robot.posts[0]) for xy in robot.trail) > 0.28
+
+
+def test_a_narrow_way_without_room_beside_it_is_driven_as_before(square):
+    robot = Robot(0.0, 0.0)
+    robot.posts = [*wall(1.5, 0.3, 3.0), *wall(1.5, -3.0, -0.3)]  # a door of 0.4 m
+    last, steps = seek(square, robot, ["viewpoint-2.1"])
+    assert last.outcome == "success"
+    assert max(abs(y) for x, y in robot.trail if 1.3 < x < 1.7) < 0.03
+    assert not {"replan", "inspect"} & {step.state for step in steps}
+
+
+def test_back_onto_the_way_from_beside_it_must_be_as_wide_as_the_robot():
+    floor = FloorGraph()
+    for x, y in ((0, 0), (2, 0), (4, 0)):
+        floor.waypoint(x, y)
+    floor.path("waypoint-1", "waypoint-2")
+    floor.path("waypoint-2", "waypoint-3")
+    robot = Robot(0.5, 0.8)  # beside the edge; the straight way to waypoint 2 passes the post at 0.27 m
+    robot.posts = [(1.3, 0.7)]
+    last, _steps = seek(floor, robot, ["viewpoint-3.1"])
+    assert last.outcome == "success"
+    assert min(math.dist(xy, robot.posts[0]) for xy in robot.trail) > 0.28
+
+
+def test_what_was_given_up_is_hoped_for_once_more_before_there_is_no_path():
+    """A wall right across the only way."""
+    floor = FloorGraph()
+    for x in (0, 3):
+        floor.waypoint(x, 0)
+    floor.path("waypoint-1", "waypoint-2")
+    robot = Robot(0.0, 0.0)
+    robot.posts = wall(1.6, -9.0, 9.0)
+    last, steps = seek(floor, robot, ["viewpoint-2.1"])
+    assert (last.outcome, sum(len(step.changes) for step in steps)) == ("no path", 2)
+    assert min(math.dist(xy, post) for xy in robot.trail for post in robot.posts) > 0.28
+
+
 def test_every_way_blocked_ends_without_a_path(square):
     robot = Robot(0.0, 0.0)
     robot.posts = [(1.5, 0.0), (0.0, 1.2)]

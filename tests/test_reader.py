@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from dssmsg.errors import InputError
 from dssmsg.graph import codec
 from dssmsg.graph.compare import same
 from dssmsg.graph.scene_graph import SceneGraph
-from dssmsg.recording import rows, schema
+from dssmsg.recording import migrations, rows, schema, snapshots, store
 from dssmsg.recording.reader import Recording, newest
 from dssmsg.recording.writer import RecordingWriter
 from dssmsg.review.summary import summarize
@@ -164,7 +167,7 @@ def test_seldom_events_come_back(tmp_path: Path) -> None:
         )
     )
     best = ev.Candidate("viewpoint-1.1", 1, {"s_graph": 1.9, "s_node": 1.0}, {"sink": "object-1"}, "a sink")
-    writer.write(ev.Matched("wash up", 9, 1.8, {"nodes": ["sink"]}, (best,)))
+    writer.write(ev.Matched("wash up", 9, 1.8, {"nodes": [{"label": "sink"}]}, (best,)))
     writer.write(ev.Matched("fly", 9, 1.8, {"nodes": []}, ()))
     writer.write(
         ev.LlmCalled("target_graph", "lexicon", 9, 1.8, "wash up", "{}", "abc", False, "slow", None, 0.1)
@@ -243,8 +246,136 @@ def test_another_schema_version_is_refused(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(schema, "SCHEMA_VERSION", 99)
     path = record(SyntheticRun(2), tmp_path / "new.rrd")
     monkeypatch.undo()
-    with pytest.raises(InputError, match="schema version 99"):
+    with pytest.raises(
+        InputError, match=r"schema version 99.*versions 1 to 2: read it with dssmsg 0 or a later"
+    ):
         Recording.open(path)
+
+
+@pytest.fixture(scope="module")
+def version_1(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file that the first writers of version 1 wrote (seven frames, lossless), its looks left out."""
+    path = tmp_path_factory.mktemp("old") / "version-1.rrd"
+    path.write_bytes(gzip.decompress((Path(__file__).parent / "data" / "version-1.rrd.gz").read_bytes()))
+    return path
+
+
+def test_an_older_recording_reads_as_one_of_today(version_1: Path) -> None:
+    before = version_1.read_bytes()
+    with Recording.open(version_1) as recording:
+        assert recording.schema_version == 1 < schema.SCHEMA_VERSION
+        assert recording.complete
+        (call,) = recording.told.llm_calls
+        assert (call.prompt, call.attempt, call.fallback_for) == ("wash up", 1, "")
+        assert recording.llm_calls()[0]["attempt"] == 1
+        frames = [change.frame for change in recording.changes()]
+        for facts in recording.frame_facts.values():
+            assert facts.updates == sum(frame < facts.index for frame in frames)
+        assert recording.frame_facts[6].updates == 16
+        assert len(list(recording.frames())) == 7
+        assert len(recording.graph_at().objects) == 4
+        assert summarize(recording)["schema_version"] == 1
+    assert version_1.read_bytes() == before
+
+
+def test_every_version_before_the_present_one_has_a_step() -> None:
+    assert [step.version for step in migrations.STEPS] == list(range(1, schema.SCHEMA_VERSION))
+
+
+def test_events_come_back_as_they_were_told(recording: Recording, told: list[ev.Event]) -> None:
+    def of(kind: type) -> list[Any]:
+        return [event for event in told if isinstance(event, kind)]
+
+    back = recording.told
+    for kind, found in (
+        (ev.PhaseStarted, back.phases),
+        (ev.NavigationChanged, back.navigation),
+        (ev.ErrorOccurred, back.errors),
+        (ev.Logged, back.logs),
+        (ev.StageTimed, back.timings),
+    ):
+        for one, want in zip(found, of(kind), strict=True):
+            # Rerun's clock counts whole nanoseconds.
+            assert asdict(one) == {**asdict(want), "sim_time": pytest.approx(want.sim_time, abs=1e-9)}
+        assert found
+
+
+def test_seldom_events_come_back_typed(tmp_path: Path) -> None:
+    window = ev.WindowEvaluated(
+        "viewpoint-1.1", 9, 1.8, (7, 8), (1, 2),
+        (ev.Evidence(7, "object-1", "missed", {"behind_m": 0.4}),), {"object-1": "disappeared"}, 3,
+    )  # fmt: skip
+    best = ev.Candidate("viewpoint-1.1", 1, {"s_graph": 1.9}, {"0": "object-1"}, "a sink")
+    told = [
+        window,
+        ev.Matched("wash up", 9, 1.8, {"nodes": [{"label": "sink"}]}, (best,)),
+        ev.LlmCalled("target_graph", "x", 9, 1.8, "p", "{}", "abc", False, "slow", 12, 0.1, 2, "openai"),
+        ev.EpisodeEnded(0, "wash up", "no_path", "blocked", 9, 1.8, {"spl": 0.0}),
+    ]
+    run = SyntheticRun(1)
+    writer = RecordingWriter(tmp_path / "r.rrd", "r")
+    for event in (run.started(), *told):
+        writer.write(event)
+    writer.close()
+    with Recording.open(tmp_path / "r.rrd") as recording:
+        back = recording.told
+        found = [*back.windows, *back.matches, *back.llm_calls, *back.episodes]
+        assert [asdict(one) for one in found] == [asdict(one) for one in told]
+        assert len(list(back.windows_about(["object-1"]))) == 1
+        assert not list(back.windows_about(["object-2"]))
+
+
+def test_some_changes_are_all_changes_of_which_some_are_left_out(recording: Recording) -> None:
+    every = list(recording.changes())
+    ids = {"object-2", "viewpoint-1.1"}
+    about = [change.update for change in recording.changes(about=ids)]
+    assert about == [change.update for change in every if ids & set(change.subjects)]
+    kinds = {"object_added", "edge_added"}
+    some = [row["update"] for row in recording.change_rows(kinds=kinds, after=9)]
+    assert some == [change.update for change in every if change.kind in kinds and change.update > 9]
+    assert about
+    assert some
+
+
+def test_stored_graphs_are_what_folding_gives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(snapshots, "EVERY_UPDATES", 20)
+    run = SyntheticRun(40)
+    path = record(run, tmp_path / "stored.rrd")
+    used = []
+    latest = snapshots.latest
+
+    def watched(*args: Any, **names: Any) -> Any:
+        used.append(latest(*args, **names))
+        return used[-1]
+
+    monkeypatch.setattr(snapshots, "latest", watched)
+    with Recording.open(path) as recording:
+        for frame in recording.key_frames:
+            told = [change for change in run.told if change.frame <= frame]
+            assert same(recording.graph_at(frame), SceneGraph.fold(told))
+        for update in range(0, len(run.told) + 1, 13):
+            assert same(recording.graph_at(update=update), SceneGraph.fold(run.told[:update]))
+        assert same(recording.graph_at(), run.live)
+    assert sum(found is not None for found in used) > len(used) / 2
+
+
+def test_poses_and_label_vectors_need_no_images(recording: Recording, told: list[ev.Event]) -> None:
+    event = next(one for one in told if isinstance(one, ev.FrameCaptured) and one.frame.index == 5)
+    camera, base = recording.poses(5)
+    assert np.array_equal(camera, event.frame.world_from_camera)
+    assert np.array_equal(base, event.frame.world_from_base)
+    known = {one.label: one.text_feature for e in told if isinstance(e, ev.Detected) for one in e.detections}
+    vectors = recording.label_vectors()
+    assert vectors.keys() == known.keys()
+    assert all(np.array_equal(vectors[label], known[label]) for label in known)
+
+
+def test_images_are_read_in_any_order_with_little_kept(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "_KEPT_BYTES", 1)
+    with Recording.open(path) as few:
+        wanted = {index: few.frame(index).depth.copy() for index in range(FRAMES)}
+        for index in (39, 3, 20, 20, 4, 0, 38):
+            assert np.array_equal(few.frame(index).depth, wanted[index])
 
 
 def test_a_foreign_recording_is_refused(tmp_path: Path) -> None:

@@ -180,7 +180,8 @@ def test_the_same_failures_are_told_together() -> None:
 
 def test_layouts_look_at_the_map_or_at_a_node(run: SyntheticRun, tmp_path: Path) -> None:
     for name in blueprint.LAYOUTS:
-        blueprint.save_layout(tmp_path / f"{name}.rbl", name, run.live, "object-2")
+        made = blueprint.make_layout(name, blueprint.eye_on(run.live, "object-2"), focused=True)
+        made.save(schema.APPLICATION_ID, str(tmp_path / f"{name}.rbl"))
         assert (tmp_path / f"{name}.rbl").stat().st_size > 1000
     eye = blueprint.eye_on(run.live, "object-2")
     assert eye is not None
@@ -191,7 +192,7 @@ def test_layouts_look_at_the_map_or_at_a_node(run: SyntheticRun, tmp_path: Path)
     with pytest.raises(ConfigError, match="no node 'object-999'"):
         blueprint.eye_on(run.live, "object-999")
     with pytest.raises(ConfigError, match="review, scene, graph"):
-        blueprint.save_layout(tmp_path / "x.rbl", "x", run.live, None)
+        blueprint.make_layout("x")
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
@@ -205,7 +206,7 @@ def test_inspect_prints_one_object(path: Path, capsys: pytest.CaptureFixture[str
     summary = json.loads(out)
     assert code == 0
     assert summary["frames"] == 40
-    assert summary["schema_version"] == 1
+    assert summary["schema_version"] == 2
     assert {"recording", "seed", "objects", "waypoints", "changes", "episodes", "errors", "seconds"} <= set(
         summary
     )
@@ -276,7 +277,7 @@ def test_view_opens_the_recording_with_a_layout(
             assert all(file.exists() for file in files)
             return cls()
 
-        def set_frame(self, frame: int) -> None:
+        def show(self, layout: Any, frame: int | None) -> None:
             opened.append(frame)
 
         def wait(self) -> int:
@@ -288,7 +289,7 @@ def test_view_opens_the_recording_with_a_layout(
     monkeypatch.setattr(viewer, "Viewer", Window)
     code, _, _ = call(capsys, "view", path, "--at", "update=3", "--focus", "object-1")
     assert code == 0
-    assert opened == ["run.rrd", "layout.rbl", 0, "stopped"]
+    assert opened == ["run.rrd", "focus.rrd", 0, "stopped"]
     code, _, err = call(capsys, "view", path, "--focus", "object-999")
     assert code == 2
     assert "object-999" in err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -123,6 +124,24 @@ def test_another_object_of_the_name_will_do():
     assert World(Navigation(), shows=["object-2"]).seek().outcome == "success"
 
 
+def test_the_best_match_will_do_where_a_viewpoint_promised_none():
+    navigation = Navigation()
+    world = World(navigation, matches=["object-1", "object-1"])
+    first, second = world.seeker.grounding.ground(None)
+    found = (first, replace(second, matching={}))
+    world.seeker.grounding.ground = lambda target: found
+    assert world.seek().reason == "wrong match"
+    take = world.seeker.take
+
+    def late(frame, command):
+        world.shows = ["object-1"] if len(navigation.started) == 4 else []
+        take(frame, command)
+
+    world.seeker.take = late
+    assert world.seek().outcome == "success"
+    assert navigation.started[3][0] == "viewpoint-2.1"
+
+
 def test_what_is_not_there_is_looked_for_twice_then_the_next_candidate():
     navigation = Navigation()
     ended = World(navigation).seek()
@@ -165,6 +184,41 @@ def test_a_touch_ends_it_whatever_is_seen():
     world.seeker.take = take
     ended = world.seek()
     assert (ended.reason, ended.values["frames"]) == ("collision", 1.0)
+
+
+def test_after_a_touch_the_next_episode_begins_by_backing_off():
+    world = World(Navigation(frames=3), shows=["object-1"])
+
+    def touch(frame, command):
+        world.contacts += 1
+
+    take, world.seeker.take = world.seeker.take, touch
+    assert world.seek().reason == "collision"
+    x, world.seeker.take = world.robot.x, take
+    world.taken.clear()
+    assert world.seek().outcome == "success"
+    assert min(frame.world_from_base[0, 3] for frame in world.taken) == pytest.approx(x - 0.25, abs=0.05)
+    world.taken.clear()
+    here = world.robot.x
+    world.seek()
+    assert min(frame.world_from_base[0, 3] for frame in world.taken) >= here
+
+
+def test_after_a_look_in_vain_the_map_is_asked_again():
+    navigation = Navigation()
+    world = World(navigation)
+    asked, ground = [], world.seeker.grounding.ground
+
+    def grounded(target):
+        asked.append(len(navigation.started))
+        found = ground(target)
+        # Once it was looked for, the map has learned that only the other lamp is worth a drive.
+        return found if len(asked) == 1 else found[3:]
+
+    world.seeker.grounding.ground = grounded
+    assert world.seek().reason == "wrong match"
+    assert [goals[0] for goals in navigation.started] == ["viewpoint-1.1", "viewpoint-4.1"]
+    assert asked == [0, 1, 2]
 
 
 @pytest.mark.parametrize("limits", [{"secs": 2.0}, {"metres": 2.1}])

@@ -10,7 +10,7 @@ import pytest
 from project import project
 
 from dssmsg.errors import ConfigError
-from dssmsg.evaluate import static_runs
+from dssmsg.evaluate import missions
 from dssmsg.evaluate.static_runs import StaticRun, evaluate_static, static_rows
 from dssmsg.recording.reader import Recording
 
@@ -40,7 +40,7 @@ def forbidden(monkeypatch):
     def refuse(*_args, **_more):
         raise AssertionError("a mission was run")
 
-    monkeypatch.setattr(static_runs, "run_mission", refuse)
+    monkeypatch.setattr(missions, "run_mission", refuse)
 
 
 def test_rows_are_mean_and_spread_over_seeds():
@@ -88,11 +88,20 @@ def test_a_run_that_was_cut_is_done_again(finished, tmp_path):
     (name,) = [file.stem for file in work.glob("*-1-*.json")]
     shutil.copytree(work, tmp_path / "cut")
     (tmp_path / "cut" / f"{name}.json").unlink()
+    (tmp_path / "cut" / name / "done.json").unlink()
     (tmp_path / "cut" / name / "leftover").touch()
     again = sweep(tmp_path / "cut")
     assert again[0] == runs[0]
     assert (again[1].f1, again[1].missed, again[1].wrong) == (runs[1].f1, runs[1].missed, runs[1].wrong)
     assert not (tmp_path / "cut" / name / "leftover").exists()
+
+
+def test_a_recording_that_is_finished_is_scored_without_a_run(finished, tmp_path, forbidden):
+    work, runs = finished
+    shutil.copytree(work, tmp_path / "kept")
+    for file in (tmp_path / "kept").glob("*.json"):
+        file.unlink()
+    assert sweep(tmp_path / "kept") == runs
 
 
 @pytest.mark.parametrize("content", ["{", "[]", "{}", json.dumps({"missed": [], "wrong": [], "x": 1})])

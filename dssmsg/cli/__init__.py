@@ -15,14 +15,25 @@ from typing import Annotated, Any
 import typer
 
 from dssmsg import __version__
-from dssmsg.cli import evaluate, explain, models, query, recordings
+from dssmsg.cli import (
+    diff,
+    episodes,
+    evaluate,
+    explain,
+    models,
+    query,
+    recordings,
+    replay,
+    report,
+    sweep,
+    view,
+)
 from dssmsg.cli.options import ConfigOption, JsonOption
 
 # Plain help: rich would take as long to import as everything else together.
 app = typer.Typer(
     name="dssmsg",
     help="Run a robot through rooms, build a dynamic 3D scene graph, and record why it is what it is.",
-    add_completion=False,
     rich_markup_mode=None,
 )
 
@@ -61,6 +72,11 @@ def init(
     """Write a dssmsg.yaml and an example plug-in to start from.
 
     Overwrites nothing.
+
+    \b
+    Examples:
+      dssmsg init
+      dssmsg init my-robot
     """
     from dssmsg.cli.project import write_project
 
@@ -86,7 +102,14 @@ def run(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Drive a mission and leave a recording; prints a summary."""
+    """Drive a mission and leave a recording; prints a summary.
+
+    \b
+    Examples:
+      dssmsg run
+      dssmsg run my.yaml --seed 3 --view
+      dssmsg run --set perception.use=oracle --goal "a place to wash up" --json
+    """
     from dssmsg.cli.run import run_command
 
     raise typer.Exit(
@@ -108,6 +131,12 @@ def config_command(
     """Print the resolved configuration.
 
     Every option of every plug-in is in it, defaults included.
+
+    \b
+    Examples:
+      dssmsg config
+      dssmsg config my.yaml --set association.delta_sim=1.2
+      dssmsg config --schema > schema.json
     """
     from dssmsg.cli.configuration import show_config
 
@@ -120,7 +149,13 @@ def plugins(
     options: Annotated[bool, typer.Option("--options", help="Print every plug-in's options too.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List the plug-ins and what failed to load."""
+    """List the plug-ins and what failed to load.
+
+    \b
+    Examples:
+      dssmsg plugins
+      dssmsg plugins --config my.yaml --options --json
+    """
     from dssmsg.cli.plugins import list_plugins
 
     list_plugins(config, options=options, as_json=as_json)
@@ -137,22 +172,37 @@ def doctor(
     """Check this machine and this configuration.
 
     Packages, renderer, furniture, viewer, plug-ins, model files, disk.
+
+    \b
+    Examples:
+      dssmsg doctor
+      dssmsg doctor --config my.yaml --json
     """
     from dssmsg.cli.doctor import show_doctor
 
     raise typer.Exit(show_doctor(config, credits=credits, as_json=as_json))
 
 
+view.register(app)
 recordings.register(app)
+replay.register(app)
+diff.register(app)
 explain.register(app)
 query.register(app)
+report.register(app)
 models.register(app)
+episodes.register(app)
+sweep.register(app)
 evaluate.register(app)
 
 
 _THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "PASSIVE"}
 """Our matrices are small: more BLAS threads do nothing but spin on the core that the recording is written on.
 Set before numpy is imported; whoever knows better sets them in the environment."""
+
+
+_COMPLETE = "_DSSMSG_COMPLETE"
+"""Set by the completion that `--install-completion` puts into the shell's start-up file."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -171,6 +221,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _invoke(arguments: list[str], *, debug: bool) -> int:
     command: Any = typer.main.get_command(app)
     front = ["--debug"] if debug else []
+    if _COMPLETE in os.environ:  # a shell asks what could come next: the parser answers, and exits
+        command.main(prog_name="dssmsg")
     try:
         # Not command.main(), which would turn Ctrl-C and SIGTERM into an exit code of its own.
         with command.make_context("dssmsg", [*front, *(arguments or ["--help"])]) as context:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dssmsg.cli import evaluate_navigation, evaluate_table4, evaluate_tables
+from dssmsg.cli import evaluate_diagnosis, evaluate_navigation, evaluate_table4, evaluate_tables
 from dssmsg.cli.options import ConfigOption, JsonOption, ScenesOption, SetOption
 from dssmsg.errors import StorageError
 
@@ -34,6 +34,7 @@ def register(app: typer.Typer) -> None:
     evaluate_tables.register(group)
     evaluate_navigation.register(group)
     evaluate_table4.register(group)
+    evaluate_diagnosis.register(group)
 
     @group.command()
     def perception(
@@ -48,6 +49,11 @@ def register(app: typer.Typer) -> None:
         """The furniture recogniser in rooms it was not trained in.
 
         Masks, labels and objects, for models it was trained on and for held-out ones.
+
+        \b
+        Examples:
+          dssmsg eval perception
+          dssmsg eval perception --rooms 2 --views 8 --json
         """
         show_perception(rooms, views, assets.value, weights, as_json=as_json)
 
@@ -60,6 +66,10 @@ def register(app: typer.Typer) -> None:
 
         The configured encoder alone, after the configured language model, and with the table of purposes.
         The set `fresh` was written after that table.
+
+        \b
+        Example:
+          dssmsg eval text --json
         """
         show_text(config, as_json=as_json)
 
@@ -83,6 +93,11 @@ def register(app: typer.Typer) -> None:
         """Whole missions: static objects of the map against the truth, mean and spread over seeds.
 
         Precision, recall and F1 by label and place. Without --work nothing is kept.
+
+        \b
+        Examples:
+          dssmsg eval static --seeds 2 --work runs
+          dssmsg eval static --scenes rs_int --perception oracle --json
         """
         show_static(
             names_of(scenes, "--scenes"),

@@ -42,6 +42,11 @@ def register(group: typer.Typer) -> None:
 
         Judged by the simulator's truth: within 1 m of a viewpoint that shows an answer, and it is in view.
         Without --work nothing is kept.
+
+        \b
+        Examples:
+          dssmsg eval navigation --episodes 30 --perception oracle --work runs
+          dssmsg eval navigation --episodes 5 --json
         """
         show_navigation(
             _names(scenes), homes, perception, episodes, seed, per_survey, obstacles, config, sets or (),

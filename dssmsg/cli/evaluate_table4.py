@@ -22,7 +22,8 @@ def register(group: typer.Typer) -> None:
         ] = "dssm,dssm_paper,image,objects",
         scenes: ScenesOption = "rs_int,ihlen_1_int",
         perception: Annotated[str, typer.Option(metavar="A,B", help="Perception plug-ins.")] = "furniture",
-        seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each, with seeds from 0.")] = 1,
+        seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each.")] = 1,
+        seed: Annotated[int, typer.Option(min=0, help="Seed of the first run; the others count up.")] = 0,
         when: Annotated[
             str, typer.Option(metavar="A,B", help="static: after the survey; changed: after the revisit.")
         ] = "static,changed",
@@ -44,10 +45,15 @@ def register(group: typer.Typer) -> None:
         """Table IV: sentences answered with ranked viewpoints, recall at 1, 2 and 3.
 
         All methods on the same recorded graphs; chance beside them. Without --work nothing is kept.
+
+        \b
+        Examples:
+          dssmsg eval table4
+          dssmsg eval table4 --json
         """
         show_table4(
             _names(methods, "--methods"), _names(scenes, "--scenes"), _names(perception, "--perception"),
-            range(seeds), _states(when), generated, config, sets or (), work,
+            range(seed, seed + seeds), _states(when), generated, config, sets or (), work,
             failures=failures, as_json=as_json,
         )  # fmt: skip
 

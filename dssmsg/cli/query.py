@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ from dssmsg.cli.options import ConfigOption, JsonOption
 
 if TYPE_CHECKING:
     from dssmsg.config import RunConfig
-    from dssmsg.interfaces import Grounding, Llm, TargetGraph
+    from dssmsg.interfaces import Encoder, Grounding, Llm, TargetGraph
     from dssmsg.recording.reader import Recording
 
 
@@ -39,6 +39,11 @@ def register(app: typer.Typer) -> None:
         """Say from where in a recorded map a sentence is answered, and why.
 
         Encoder, language model and grounding are those of the configuration, whatever the run had.
+
+        \b
+        Examples:
+          dssmsg query "a place to sit"
+          dssmsg query recordings/run.rrd "the cup on the table" --json
         """
         show_query(words, at, top, config, sets or (), as_json=as_json)
 
@@ -75,8 +80,8 @@ def show_query(
             frame, update = moment(opened, at)
             warn_of_cuts(opened)
             graph = opened.graph_at(frame, update=update)
-            llm, grounding = _plugins(resolved, opened, graph)
-            target = _target(llm, words[-1], resolved)
+            llm, grounding = plugins_over(resolved, opened, graph)
+            target = target_of(llm, words[-1], resolved)
             candidates = checks.check_candidates(graph, grounding.ground(target))
         answer = query_json(
             words[-1],
@@ -92,7 +97,7 @@ def show_query(
         print(query_text(answer, top))
 
 
-def _plugins(config: RunConfig, recording: Recording, graph: Any) -> tuple[Llm, Grounding]:
+def plugins_over(config: RunConfig, recording: Recording, graph: Any) -> tuple[Llm, Grounding]:
     """The language model and the grounding of a configuration, over a recorded graph."""
     from dssmsg.cli.output import note
     from dssmsg.contexts import ContextFactory
@@ -100,6 +105,7 @@ def _plugins(config: RunConfig, recording: Recording, graph: Any) -> tuple[Llm, 
     from dssmsg.graph.read_only import ReadOnlyGraph
     from dssmsg.host import Host
     from dssmsg.interfaces import SourceInfo
+    from dssmsg.review.recorded_vectors import RecordedVectors
 
     camera = recording.camera()
     info = None if camera is None else SourceInfo("recording", camera, drivable=False, has_truth=False)
@@ -120,15 +126,38 @@ def _plugins(config: RunConfig, recording: Recording, graph: Any) -> tuple[Llm, 
             slot = getattr(config, kind)
             return host.build(kind, slot, contexts, base_dir=config.base_dir, key=kind).plugin
 
-        encoder = contexts.encoder = build("encoder")
+        encoder = _working(build, recording)
+        recorded = isinstance(encoder, RecordedVectors)
+        contexts.encoder = None if recorded else encoder  # made-up vectors would mislead the language model
         contexts.llm = build("llm")
+        contexts.encoder = encoder
         known = recording.facts["feature_space"]
         if known is not None and known != encoder.space:
             note(f"the map's features live in {known}, the encoder's in {encoder.space}: labels are compared")
         return contexts.llm, build("grounding")
 
 
-def _target(llm: Llm, sentence: str, config: RunConfig) -> TargetGraph:
+def _working(build: Callable[[str], Any], recording: Recording) -> Encoder:
+    """The configuration's encoder; where it cannot run here, the vectors that the recording holds."""
+    from dssmsg.cli.output import note
+    from dssmsg.errors import PluginError
+    from dssmsg.lexicon.aliases import builtin_aliases
+    from dssmsg.review.recorded_vectors import RecordedVectors
+
+    try:
+        encoder: Encoder = build("encoder")
+        encoder.encode_labels(["thing"])  # models are loaded on first use
+        return encoder
+    except (ImportError, PluginError) as error:
+        vectors = RecordedVectors(recording, builtin_aliases())
+        note(
+            f"the encoder cannot run here ({' '.join(str(error).split())}): {vectors.labels} labels have"
+            " recorded vectors, other names are compared by the table of aliases"
+        )
+        return vectors
+
+
+def target_of(llm: Llm, sentence: str, config: RunConfig) -> TargetGraph:
     """The target graph of a sentence. Raises PluginError naming the language model where it gives none."""
     from dssmsg.errors import PluginError
     from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request

@@ -1,4 +1,4 @@
-"""Commands that read recordings: `view`, `inspect`, `export`."""
+"""Commands that read recordings: `inspect`, `export`; and which recording, and when, a command is about."""
 
 from __future__ import annotations
 
@@ -23,15 +23,6 @@ class Format(enum.StrEnum):
     PLY = "ply"
 
 
-class Layout(enum.StrEnum):
-    """What `view` shows."""
-
-    REVIEW = "review"
-    SCENE = "scene"
-    GRAPH = "graph"
-    DYNAMICS = "dynamics"
-
-
 RecordingArgument = Annotated[
     Path | None,
     typer.Argument(
@@ -48,26 +39,17 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
 
     @app.command()
-    def view(
-        recording: RecordingArgument = None,
-        web: Annotated[
-            bool, typer.Option("--web", help="Serve a page for the browser, on this machine.")
-        ] = False,
-        at: AtOption = None,
-        focus: Annotated[
-            str | None, typer.Option("--focus", metavar="ID", help="Look at a node, like object-12.")
-        ] = None,
-        layout: Annotated[Layout, typer.Option("--layout", help="What to show.")] = Layout.REVIEW,
-    ) -> None:
-        """Open a recording in the viewer."""
-        open_viewer(chosen(recording), web=web, at=at, focus=focus, layout=layout.value)
-
-    @app.command()
     def inspect(
         recording: RecordingArgument = None,
         as_json: JsonOption = False,
     ) -> None:
-        """Say what happened in a run: phases, changes, episodes, errors, timings."""
+        """Say what happened in a run: phases, changes, episodes, errors, timings.
+
+        \b
+        Examples:
+          dssmsg inspect
+          dssmsg inspect recordings/run.rrd --json
+        """
         from dssmsg.cli.output import print_json
         from dssmsg.recording.reader import Recording
         from dssmsg.review.summary import summarize
@@ -91,7 +73,13 @@ def register(app: typer.Typer) -> None:
         ] = None,
         force: Annotated[bool, typer.Option("--force", help="Overwrite FILE.")] = False,
     ) -> None:
-        """Write the scene graph of a recording, at any time of the run, to a file."""
+        """Write the scene graph of a recording, at any time of the run, to a file.
+
+        \b
+        Examples:
+          dssmsg export --format graphml -o graph.graphml
+          dssmsg export recordings/run.rrd --at frame=120 --format ply -o map.ply
+        """
         from dssmsg.graph.export import export_graph
         from dssmsg.recording.reader import Recording
 
@@ -200,42 +188,3 @@ def write_output(data: bytes, output: Path | None, *, force: bool) -> None:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise StorageError(f"cannot be written ({error.strerror})", file=output) from error
-
-
-def open_viewer(
-    path: Path, *, web: bool = False, at: str | None = None, focus: str | None = None, layout: str = "review"
-) -> None:
-    """Show a recording and wait until the window is closed.
-
-    Raises InputError if the recording does not read, ConfigError for an unknown node or time, and ViewerError
-    where no window can be opened.
-    """
-    import tempfile
-
-    from dssmsg.cli.output import note
-    from dssmsg.recording.blueprint import save_layout
-    from dssmsg.recording.reader import Recording
-    from dssmsg.recording.viewer import Viewer
-
-    with Recording.open(path) as opened, tempfile.TemporaryDirectory(prefix="dssmsg-") as folder:
-        frame, update = moment(opened, at)
-        warn_of_cuts(opened)
-        graph = opened.graph_at(frame, update=update)
-        if update is not None:
-            frame = opened.frame_of_update(update)
-        layout_file = Path(folder) / "layout.rbl"
-        save_layout(layout_file, layout, graph, focus)
-        files = [opened.readable_path, layout_file]
-        if web:
-            viewer, address = Viewer.serve(files)
-            note(f"open {address} (Ctrl-C ends it)")
-        else:
-            viewer = Viewer.start(files)
-        try:
-            if frame is not None and not web:
-                viewer.set_frame(frame)
-            elif frame is not None:
-                note(f"the page opens at the end; go to frame {frame} in the time panel")
-            viewer.wait()
-        finally:
-            viewer.stop()

@@ -79,7 +79,7 @@ def run_command(
     else:
         print(summary_text(summary))
     if view and summary.get("recording"):
-        from dssmsg.cli.recordings import open_viewer
+        from dssmsg.cli.view import open_viewer
 
         open_viewer(Path(summary["recording"]))
     failed = any(episode["outcome"] != "success" for episode in summary["episodes"])

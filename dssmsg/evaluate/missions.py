@@ -13,7 +13,7 @@ from dssmsg.errors import ConfigError
 from dssmsg.host import Host
 from dssmsg.mission.run import run_mission
 
-_LATER = ("recording", "grounding", "navigation")
+_ASKED = ("grounding", "navigation")
 """Slots that come into play only once somebody asks for something."""
 
 
@@ -25,7 +25,7 @@ def recorded_mission(work: Path, name: str, config: RunConfig, host: Host) -> tu
     """
     if "rerun" not in {slot.use for slot in config.recording.observers.values()}:
         raise ConfigError("needs the observer rerun: answers are found in the recording", key="recording")
-    folder = work / f"{name}-{_fingerprint(config, host)}"
+    folder = work / f"{name}-{fingerprint(config, host)}"
     done = folder / "done.json"
     if done.is_file():
         return folder / json.loads(done.read_text("utf-8"))["recording"], False
@@ -42,8 +42,12 @@ def recorded_mission(work: Path, name: str, config: RunConfig, host: Host) -> tu
     return folder / recording.name, True
 
 
-def _fingerprint(config: RunConfig, host: Host) -> str:
-    """What a recording depends on, but for the code."""
-    resolved = {key: value for key, value in host.resolved(config).items() if key not in _LATER}
+def fingerprint(config: RunConfig, host: Host) -> str:
+    """What a recording depends on, but for the code: the resolved configuration and this package's version.
+
+    Where the mission seeks nothing, grounding and navigation have no part in it.
+    """
+    left_out = {"recording", *(() if "seek" in config.mission.phases else _ASKED)}
+    resolved = {key: value for key, value in host.resolved(config).items() if key not in left_out}
     text = json.dumps([metadata.version("dssmsg"), resolved], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:10]

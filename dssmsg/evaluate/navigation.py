@@ -6,13 +6,11 @@ the robot has not seen yet, and with obstacles that appear on its way.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ import numpy as np
 
 from dssmsg.config import RunConfig, load_config
 from dssmsg.errors import InputError
+from dssmsg.evaluate.missions import fingerprint
 from dssmsg.evaluate.navigation_cases import Case, Home, make_case
 from dssmsg.evaluate.navigation_witness import EpisodeWitness, Judged
 from dssmsg.host import Host
@@ -122,7 +121,7 @@ def _one_survey(
         host = Host.load(run.plugins, run.base_dir)
         host.check(run)
     name = re.sub(r"[^A-Za-z0-9_]+", "_", Path(scene).name)
-    folder = work / f"navigation-{name}-{perception}-{seed}-{_fingerprint(run, host)}"
+    folder = work / f"navigation-{name}-{perception}-{seed}-{fingerprint(run, host)}"
     finished = folder / "episodes.json"
     if finished.is_file():
         return [_episode(row) for row in json.loads(finished.read_text("utf-8"))]
@@ -173,13 +172,6 @@ def _configuration(
     if not record:
         wanted.append("recording.observers.rerun=false")
     return load_config(config, sets=[*wanted, *sets])
-
-
-def _fingerprint(run: RunConfig, host: Host) -> str:
-    """What the episodes depend on, but for the code."""
-    resolved = {key: value for key, value in host.resolved(run).items() if key != "recording"}
-    text = json.dumps([metadata.version("dssmsg"), resolved], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
 def _episode(row: Mapping[str, Any]) -> Episode:

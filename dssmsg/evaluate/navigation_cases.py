@@ -98,7 +98,8 @@ def make_case(home: Home, seed: int, episodes: int, obstacles: int) -> Case:
     """Goals and obstacles of one home, the same for the same seed.
 
     Goals are the packaged queries of the scene, for other homes the scene's own and "the <label>"; at least
-    one answer of each stands where the survey found it. Two in a row have no answer in common.
+    one answer of each stands where the survey found it, and an obstacle that bears the label is one as well.
+    Two in a row have no answer in common.
     """
     rng = np.random.default_rng((seed, zlib.crc32(home.name.encode())))
     pool = possible_goals(home)
@@ -109,7 +110,14 @@ def make_case(home: Home, seed: int, episodes: int, obstacles: int) -> Case:
         goals.append(fitting[int(rng.integers(len(fitting)))])
         if len(pool) > 1:
             pool = [goal for goal in pool if goal != goals[-1]]
-    return Case(home.name, seed, tuple(goals), tuple(_obstacles(home, rng, obstacles)))
+    met = tuple(_obstacles(home, rng, obstacles))
+    return Case(home.name, seed, tuple(_answered(home, goal, met) for goal in goals), met)
+
+
+def _answered(home: Home, goal: Goal, obstacles: Sequence[Obstacle]) -> Goal:
+    """The goal with the obstacles that answer it, too: who asks for "the chair" may be led to any chair."""
+    met = [one.piece.id for one in obstacles if goal.text == f"the {home.placer.model(one.piece).label}"]
+    return Goal(goal.text, (*goal.targets, *met))
 
 
 def possible_goals(home: Home) -> list[Goal]:

@@ -27,6 +27,7 @@ from dssmsg.evaluate.replay_score import ReplayScore, score_replay
 from dssmsg.frame import Detection, Frame
 from dssmsg.host import Host
 from dssmsg.lift import Lifted, Lifter
+from dssmsg.mission.replay_config import recorded_slot
 from dssmsg.mission.run import Mission
 from dssmsg.recording.reader import Recording
 
@@ -241,14 +242,10 @@ def _case_config(setup: Setup, case: Case) -> RunConfig:
 
 
 def _replay_config(setup: Setup, case: Case, method: Method, recording: Path) -> RunConfig:
-    path = json.dumps(str(recording.resolve()))
     sets = [
         *setup.sets,
-        "source.use=recording",
-        "source.key_frames=true",
-        f"source.recording={path}",
-        "perception.use=recorded",
-        f"perception.recording={path}",
+        f"source={_flow(recorded_slot(recording, 'recording', key_frames=True))}",
+        f"perception={_flow(recorded_slot(recording))}",
         *_slot_sets("association", method.association),
         *_slot_sets("update", method.update),
         f"mission.max_frames={FRAMES_A_VISIT * case.visits}",

@@ -6,12 +6,9 @@ the finished recording. What is done stays in a folder, so that a sweep that was
 
 from __future__ import annotations
 
-import hashlib
 import json
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +16,10 @@ import numpy as np
 
 from dssmsg.config import RunConfig, load_config
 from dssmsg.errors import ConfigError
+from dssmsg.evaluate.missions import fingerprint, recorded_mission
 from dssmsg.evaluate.recorded import score_recording
 from dssmsg.host import Host
-from dssmsg.mission.run import run_mission
+from dssmsg.recording.reader import Recording
 
 TABLE = "static"
 
@@ -75,11 +73,10 @@ def evaluate_static(
             host.check(resolved)
         if "rerun" not in {slot.use for slot in resolved.recording.observers.values()}:
             raise ConfigError("needs the observer rerun: scores are read from the recording", key="recording")
-        name = f"{scene}-{perception}-{seed}-{_fingerprint(resolved, host)}"
-        wanted.append((name, resolved, host, (scene, perception)))
+        wanted.append((f"{scene}-{perception}-{seed}", resolved, host, (scene, perception)))
     done = []
     for number, (name, resolved, host, which) in enumerate(wanted, 1):
-        kept = work / f"{name}.json"
+        kept = work / f"{name}-{fingerprint(resolved, host)}.json"
         if kept.exists():
             run = _read(kept)
         else:
@@ -136,25 +133,13 @@ class _Hosts:
         return self._hosts[key]
 
 
-def _fingerprint(config: RunConfig, host: Host) -> str:
-    """What a result depends on, but for the code: the resolved configuration and the version."""
-    resolved = {key: value for key, value in host.resolved(config).items() if key != "recording"}
-    text = json.dumps([metadata.version("dssmsg"), resolved], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:10]
-
-
 def _carry_out(work: Path, name: str, config: RunConfig, host: Host, which: tuple[str, str]) -> StaticRun:
     """Run and score one combination; its recording stays in a folder of its own."""
-    folder = work / name
-    if folder.exists():  # what a run that was cut left behind
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    recorded = config.recording.model_copy(update={"directory": str(folder)})
-    placed = config.model_copy(update={"recording": recorded})
-    with placed.naming_files():
-        summary = run_mission(placed, host).summary
-    recording = Path(summary["recording"]).resolve()
+    recording = recorded_mission(work, name, config, host)[0].resolve()
     score = score_recording(recording).score
+    with Recording.open(recording) as reader:
+        summary = reader.stored_summary
+    assert summary is not None  # a mission that ended has told it
     return StaticRun(
         scene=which[0],
         perception=which[1],

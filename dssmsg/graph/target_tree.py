@@ -25,13 +25,17 @@ Holds = Callable[[str, int, int], float]
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """`node` hangs from `parent`: "parent <word> node" if `outward`, else "node <word> parent"."""
+    """`node` hangs from `parent`: "parent <word> node" if `outward`, else "node <word> parent".
+
+    `weight`, 0..1: how much it counts; less than 1 for one that nobody named.
+    """
 
     node: int
     parent: int
     word: str
     outward: bool
     negated: bool
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,21 +47,31 @@ class Witnessed:
 
 
 class TargetTree:
-    """The links that hang from `core`; `edges` are (source, target, word) between nodes."""
+    """The links that hang from `core`; `edges` are (source, target, word) of nodes, with a weight each."""
 
-    def __init__(self, edges: Sequence[tuple[int, int, str]], core: int) -> None:
+    def __init__(
+        self, edges: Sequence[tuple[int, int, str]], core: int, weights: Sequence[float] | None = None
+    ) -> None:
         self.core = core
         self.links: list[Link] = []
         reached, queue = {core}, deque([core])
         while queue:
             parent = queue.popleft()
-            for source, target, word in edges:
+            for (source, target, word), weight in zip(edges, weights or [1.0] * len(edges), strict=True):
                 for node, end, outward in ((target, source, True), (source, target, False)):
                     if end == parent and node not in reached:
                         reached.add(node)
                         queue.append(node)
                         plain, negated = _plain(word)
-                        self.links.append(Link(node, parent, plain, outward, negated))
+                        self.links.append(Link(node, parent, plain, outward, negated, weight))
+
+    def unwanted(self) -> frozenset[int]:
+        """Nodes that should not be there: at the end of a negated link, or hanging from one that is."""
+        found: set[int] = set()
+        for link in self.links:  # from the core outwards
+            if link.negated or link.parent in found:
+                found.add(link.node)
+        return frozenset(found)
 
     def below(self, node: int) -> list[Link]:
         """The links that hang from a node."""
@@ -96,7 +110,7 @@ class Witnesses:
         for row in range(len(links)):
             if not links[row].negated:
                 continue
-            total += max(0.0, 1.0 - float(worth[row].max()))
+            total += links[row].weight * max(0.0, 1.0 - float(worth[row].max()))
             worth[row] = 0.0
         rows, columns = linear_sum_assignment(worth, maximize=True)
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
@@ -114,6 +128,8 @@ class Witnesses:
                 continue
             pair = (thing, other) if link.outward else (other, thing)
             worth[other] = self._likeness[link.node, other] * self._holds(link.word, *pair)
+            if not link.negated:
+                worth[other] *= link.weight
             if not link.negated:
                 worth[other] += self._below(link.node, other)[0]
         return worth

@@ -288,15 +288,14 @@ class Mission:
 
     def _begin(self, phase: str, visit: int) -> None:
         if visit != self._visit:
-            with self._pipeline.stage("source"):
-                self._guard.call(
-                    self._source_id,
-                    "start_visit",
-                    lambda: self._source.start_visit(visit),
-                )
+            self._start_visit(visit)
             self._visit = visit
         index, sim_time = (self._frame.index + 1, self._frame.sim_time) if self._frame else (0, 0.0)
         self._bus.tell(PhaseStarted(phase, visit, index, sim_time))
+
+    def _start_visit(self, visit: int) -> None:
+        with self._pipeline.stage("source"):
+            self._guard.call(self._source_id, "start_visit", lambda: self._source.start_visit(visit))
 
     def _end_visit(self) -> None:
         if self._frame is not None:
@@ -335,10 +334,10 @@ class Mission:
             self._skip("mission", f"stop {name} could not be reached", f"stop {name}")
         self._skipped_stops += surveyor.skipped
 
-    def _seek(self) -> None:
+    def _seeker(self) -> Seeker:
         built, mission = self._built, self._config.mission
         assert self._contexts.llm is not None  # built before any phase
-        seeker = Seeker(
+        return Seeker(
             llm=self._contexts.llm,
             grounding=built["grounding"].plugin,
             navigation=built["navigation"].plugin,
@@ -352,6 +351,9 @@ class Mission:
             collisions=lambda: self._collisions,
             limits=EpisodeLimits(mission.candidates, mission.episode_secs, mission.episode_metres),
         )
+
+    def _seek(self) -> None:
+        seeker = self._seeker()
         frame = self._frame or self._advance(Command())
         for goal in self._config.mission.goals:
             if frame is None:

@@ -1,8 +1,9 @@
 """The seek phase: a sentence, its target graph, the best viewpoint, the drive there, a look (ALGORITHM D, E).
 
 The robot judges by sight: an episode is a success when the object that was taken for the core target, or
-another of its name, is observed from the goal viewpoint. Where it is not, or no way leads there, the next
-candidate is tried. Touching anything ends the episode, whatever it sees.
+another of its name, is observed from the goal viewpoint. Where it is not, the map as it is then is asked
+again, and the next candidate is tried. Touching anything ends the episode, whatever it sees; the next one
+begins by backing off.
 """
 
 from __future__ import annotations
@@ -29,11 +30,13 @@ from dssmsg.mission.goal import (
 from dssmsg.mission.pipeline import Pipeline
 from dssmsg.navigation.pose import floor_place
 
-SUCCESS, SEEN = "success", "seen"
+SUCCESS, SEEN, COLLISION = "success", "seen", "collision"
 IN_VIEW_M = 4.0
 """Nearer than this an object counts as in view (ALGORITHM, Scores)."""
 _LOOKS_AN_OBJECT = 2
 """An object that was missed from so many viewpoints is not looked for again."""
+_BACK_M, _BACK_MPS, _BACK_FRAMES = 0.25, 0.2, 15
+"""After a touch the robot backs off so far, so fast, for so many frames at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,10 @@ class EpisodeLimits:
 
 @dataclass(slots=True)
 class _Trip:
-    """What an episode has cost so far, and where the robot is: its newest frame."""
+    """What an episode has cost so far, and where the robot is: its newest frame.
+
+    `wanted`: the best object for the core target; it will do, too, where a viewpoint promised none.
+    """
 
     frame: Frame
     began: float
@@ -57,7 +63,9 @@ class _Trip:
     replans: int = 0
     detours: int = 0
     tried: int = 0
+    wanted: str | None = None
     missed: dict[str, int] = field(default_factory=dict)
+    looked_from: set[str] = field(default_factory=set)
 
     @property
     def secs(self) -> float:
@@ -94,18 +102,19 @@ class Seeker:
     take: Callable[[Frame, Command], None]
     collisions: Callable[[], int]
     limits: EpisodeLimits = EpisodeLimits()
+    out_of_frames: str = "out of time"
+    """The reason where `capture` has no more frames to give."""
+    _touched: bool = field(default=False, init=False)
 
     def seek(self, episode: int, goal: str, frame: Frame) -> tuple[EpisodeEnded, Frame]:
         """One episode from where the robot stands; returns its end and the last frame."""
         trip = _Trip(frame, frame.sim_time, self.collisions())
+        if self._touched:
+            self._back_off(trip)
         with self.pipeline.stage("llm"):
             target = self._target(goal)
-        if target is None:
-            reason = "no target graph"
-        else:
-            with self.pipeline.stage("grounding"):
-                candidates = self._ground(target, frame)
-            reason = self._search(target, candidates, trip) if candidates else "no match"
+        reason = "no target graph" if target is None else self._search(target, trip)
+        self._touched = reason == COLLISION
         success = reason == SUCCESS
         ended = EpisodeEnded(
             episode,
@@ -128,23 +137,26 @@ class Seeker:
         return target
 
     def _ground(self, target: TargetGraph, frame: Frame) -> tuple[Candidate, ...]:
-        candidates: Sequence[Candidate] = self.guard.call(
-            self.names["grounding"],
-            "ground",
-            lambda: self.grounding.ground(target),
-            check=lambda value: checks.check_candidates(self.graph, value),
-            default=(),
-        )
+        with self.pipeline.stage("grounding"):
+            candidates: Sequence[Candidate] = self.guard.call(
+                self.names["grounding"],
+                "ground",
+                lambda: self.grounding.ground(target),
+                check=lambda value: checks.check_candidates(self.graph, value),
+                default=(),
+            )
         self.bus.tell(
             Matched(target.text, frame.index, frame.sim_time, target_graph_json(target), tuple(candidates))
         )
         return tuple(candidates)
 
-    def _search(self, target: TargetGraph, candidates: tuple[Candidate, ...], trip: _Trip) -> str:
+    def _search(self, target: TargetGraph, trip: _Trip) -> str:
         """Drive to one candidate after the other until the target is seen; `success` or the reason."""
-        core, waiting, reason = str(target.core), list(candidates), "no match"
+        core, reason = str(target.core), "no match"
+        candidates = self._ground(target, trip.frame)
+        trip.wanted = next((one.matching[core] for one in candidates if core in one.matching), None)
         while trip.tried < self.limits.candidates:
-            waiting = self._worth_trying(waiting, core, trip)
+            waiting = self._worth_trying(candidates, core, trip)
             if not waiting:
                 break
             trip.tried += 1
@@ -159,16 +171,19 @@ class Seeker:
             at = places.index(viewpoint_id) if viewpoint_id in places else 0
             missing = waiting[at].matching.get(core, "")
             trip.missed[missing] = trip.missed.get(missing, 0) + 1
+            trip.looked_from.add(places[at])
             self._tell(trip.frame, "missing", f"{missing or 'the target'} is not in view from {viewpoint_id}")
-            waiting = waiting[at + 1 :]
+            # The drive has changed the map: what vanished, moved or came to light counts for the next one.
+            candidates = self._ground(target, trip.frame)
         return reason
 
-    def _worth_trying(self, waiting: list[Candidate], core: str, trip: _Trip) -> list[Candidate]:
-        """Candidates still in the graph whose core object may be there; else those of vanished objects."""
+    def _worth_trying(self, candidates: Sequence[Candidate], core: str, trip: _Trip) -> list[Candidate]:
+        """Candidates not yet tried whose core object may be there; else those of vanished objects."""
         left = [
             candidate
-            for candidate in waiting
+            for candidate in candidates
             if candidate.viewpoint_id in self.graph.viewpoints
+            and candidate.viewpoint_id not in trip.looked_from
             and trip.missed.get(candidate.matching.get(core, ""), 0) < _LOOKS_AN_OBJECT
         ]
         present = [candidate for candidate in left if self._is_there(candidate.matching.get(core))]
@@ -206,7 +221,7 @@ class Seeker:
                 )
             goal = step.goal or goals[0]
             if step.at_stop and (state == "look" or step.outcome == SUCCESS):
-                seen = self._sighted(matched.get(goal), trip.frame)
+                seen = self._sighted(matched.get(goal) or trip.wanted, trip.frame)
                 if seen is not None:
                     self._tell(trip.frame, SEEN, f"{seen.id} ({seen.label}) from {goal}")
                     return SEEN, goal
@@ -216,17 +231,33 @@ class Seeker:
                 return "out of time", goal
             following = self.capture(step.command)
             if following is None:
-                return "out of time", goal
-            previous = trip.frame
+                return self.out_of_frames, goal
             # Navigation says of the new frame whether it was taken looking; only then is it put into the map.
             command, step = step.command, self._step(following)
-            trip.frame = replace(following, at_stop=step is not None and step.at_stop)
-            trip.frames += 1
-            trip.metres += math.dist(floor_place(previous), floor_place(following))
-            self.take(trip.frame, command)
+            following = replace(following, at_stop=step is not None and step.at_stop)
+            self._move(trip, following, command)
             if self.collisions() > trip.collisions:
-                return "collision", goal
+                return COLLISION, goal
         return "navigation failed", ""
+
+    def _back_off(self, trip: _Trip) -> None:
+        """Straight back from what the last episode touched: it came from there."""
+        begin, command = floor_place(trip.frame), Command(linear=-_BACK_MPS, tilt=trip.frame.tilt_rad)
+        for _ in range(_BACK_FRAMES):
+            if math.dist(begin, floor_place(trip.frame)) >= _BACK_M:
+                break
+            following = self.capture(command)
+            if following is None:
+                break
+            self._move(trip, following, command)
+        self._tell(trip.frame, "back", "off what was touched")
+
+    def _move(self, trip: _Trip, frame: Frame, command: Command) -> None:
+        """Take in the next frame of an episode, to which the command led."""
+        trip.frames += 1
+        trip.metres += math.dist(floor_place(trip.frame), floor_place(frame))
+        trip.frame = frame
+        self.take(frame, command)
 
     def _step(self, frame: Frame) -> Step | None:
         with self.pipeline.stage("navigation"):

@@ -14,6 +14,9 @@ from dssmsg.frame import FloatArray, IntArray
 from dssmsg.navigation.astar import cheapest_way
 from dssmsg.navigation.grid import Cell, Point, RollingGrid
 
+_SLACK = 1.15
+"""A straight leg may cost so many times what the path that it replaces costs where that is dearest."""
+
 
 @dataclass(frozen=True, slots=True)
 class DetourOptions:
@@ -33,6 +36,12 @@ class DetourOptions:
     """No further ahead than this is the way rejoined: the grid ends at 3 m."""
     asides: tuple[float, ...] = (0.0, 0.2, -0.2, 0.4, -0.4)
     """So far beside the way, to the left, it may be rejoined."""
+    half_width: float = 0.15
+    """Half the width that a way which was driven once must have."""
+    onward: float = 1.5
+    """So far behind a place to rejoin at the way should be clear, else what blocks it is still ahead."""
+    hopeful: bool = False
+    """Whether unseen floor right behind something may be free: whoever drives there sees it."""
     near_end: float = 0.6
     """Where something stands on the way's end, a place this near stands in for it."""
 
@@ -55,7 +64,8 @@ def find_detour(
     """A drivable way from `start` back onto the way through the points `way`, beyond what blocks it.
 
     Candidates to rejoin at lie each 0.2 m along the way behind the obstacle, and at its points; the first
-    (so the nearest) that can be reached at an acceptable length is taken. None if none can.
+    (so the nearest) that can be reached at an acceptable length is taken, before all others those from which
+    the way goes on clear. None if none can.
     """
     o = options or DetourOptions()
     cost = step_costs(grid, start, o)
@@ -64,7 +74,10 @@ def find_detour(
         return None
     islands, _ = ndimage.label(np.isfinite(cost), structure=np.ones((3, 3)))
     tried: set[Cell] = set()
-    for place, leg, straight in _rejoining(grid, start, way, o):
+    places = sorted(
+        _rejoining(grid, start, way, o), key=lambda one: not _goes_on(grid, one[0], way[one[1] :], o)
+    )
+    for place, leg, straight in places:
         cell = grid.cell(place)
         if cell is None or cell in tried or islands[cell] != islands[here]:
             continue
@@ -86,7 +99,7 @@ def step_costs(grid: RollingGrid, start: Point, options: DetourOptions) -> Float
 
     Close to the start it may be as near to things as it is now, else it could not leave a narrow place.
     """
-    o, clearance = options, grid.clearance
+    o, clearance = options, grid.clearance(hopeful=options.hopeful)
     need = np.full(clearance.shape, o.radius + o.margin)
     here = grid.cell(start)
     if here is not None:
@@ -116,7 +129,7 @@ def _rejoining(
     Each with the index of the way's point that comes next, and the metres there along the way.
     """
     travelled, behind = 0.0, False
-    room = options.radius + options.margin
+    clearance, room = grid.clearance(hopeful=options.hopeful), options.radius + options.margin
     for leg, (a, b) in enumerate(itertools.pairwise([start, *way])):
         length = max(math.dist(a, b), 1e-6)
         steps = max(1, math.ceil(length / 0.2))
@@ -125,7 +138,7 @@ def _rejoining(
             place = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
             if math.dist(start, place) > options.reach:
                 return
-            behind = behind or not _has_room(grid, place, room)
+            behind = behind or not _has_room(grid, clearance, place, room)
             if not behind or travelled + share * length <= 0.4:
                 continue
             for aside in options.asides:  # the way may pass as close to things as it was driven, a detour not
@@ -134,18 +147,34 @@ def _rejoining(
                     place[1] + aside * (b[0] - a[0]) / length,
                 )
                 straight_on = step == steps or not aside or is_clear(grid, beside, [b], options.radius)
-                if _has_room(grid, beside, room) and straight_on:
+                if _has_room(grid, clearance, beside, room) and straight_on:
                     yield beside, leg + (step == steps), travelled + share * length
                     break
         travelled += length
     for place in _around(way[-1], options.near_end):
-        if _has_room(grid, place, room):
+        if _has_room(grid, clearance, place, room):
             yield place, len(way), travelled
 
 
-def _has_room(grid: RollingGrid, place: Point, room: float) -> bool:
+def _goes_on(grid: RollingGrid, place: Point, rest: Sequence[Point], options: DetourOptions) -> bool:
+    """Whether nothing known stands on the way from a place to rejoin at, as far as it should be clear."""
+    left, half_width = options.onward, options.radius
+    for a, b in itertools.pairwise([place, *rest]):
+        length = math.dist(a, b)
+        if length > 1e-6:
+            share = min(1.0, left / length)
+            end = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+            if grid.corridor(a, end, half_width).obstacle is not None:
+                return False
+        left, half_width = left - length, options.half_width
+        if left <= 0:
+            break
+    return True
+
+
+def _has_room(grid: RollingGrid, clearance: FloatArray, place: Point, room: float) -> bool:
     cell = grid.cell(place)
-    return cell is not None and float(grid.clearance[cell]) >= room
+    return cell is not None and float(clearance[cell]) >= room
 
 
 def _around(middle: Point, radius: float) -> Iterator[Point]:
@@ -158,22 +187,26 @@ def _around(middle: Point, radius: float) -> Iterator[Point]:
 def _corners(
     grid: RollingGrid, cost: FloatArray, start: Point, cells: Sequence[Cell], end: Point
 ) -> tuple[Point, ...]:
-    """The path with its needless bends left out: straight legs only over cells that may be stepped into."""
+    """The path with its needless bends left out, where a straight leg comes no closer to things than it."""
     points = [start, *(grid.center(cell) for cell in cells[1:-1]), end]
+    prices = [float(cost[cell]) for cell in cells]
     corners, here = [], 0
     while here < len(points) - 1:
         ahead = len(points) - 1
-        while ahead > here + 1 and not _passable(grid, cost, points[here], points[ahead]):
+        while ahead > here + 1 and not _passable(
+            grid, cost, points[here], points[ahead], _SLACK * max(prices[here : ahead + 1])
+        ):
             ahead -= 1
         corners.append(points[ahead])
         here = ahead
     return tuple(corners)
 
 
-def _passable(grid: RollingGrid, cost: FloatArray, a: Point, b: Point) -> bool:
+def _passable(grid: RollingGrid, cost: FloatArray, a: Point, b: Point, most: float) -> bool:
+    """Whether every cell of a straight leg costs no more than `most`."""
     count = max(2, math.ceil(2 * math.dist(a, b) / grid.options.cell))
     for x, y in zip(np.linspace(a[0], b[0], count), np.linspace(a[1], b[1], count), strict=True):
         cell = grid.cell((float(x), float(y)))
-        if cell is None or cost[cell] == np.inf or cost[cell] > 6.0:
+        if cell is None or not cost[cell] <= most:
             return False
     return True

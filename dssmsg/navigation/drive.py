@@ -51,6 +51,11 @@ class _Axis:
         self._period = period_secs
         self._command: float | None = None
 
+    @property
+    def longest_step(self) -> float:
+        """The furthest way of one period."""
+        return self.top_speed * self._period
+
     def rest(self) -> None:
         """The robot stands."""
         self.speed, self._command = 0.0, None
@@ -171,7 +176,9 @@ class Driver:
         if at_rest and abs(self._linear.speed) <= self._linear.calm_speed:
             self._turning = False
             return None
-        if passing and along <= tolerance and abs(lateral) <= 2 * tolerance:
+        # What lies further back than one period's way was not passed: the robot faces away from it.
+        just_passed = -self._linear.longest_step - tolerance <= along <= tolerance
+        if passing and just_passed and abs(lateral) <= 2 * tolerance:
             return None
         error = wrap_angle(math.atan2(dy, dx) - heading)
         at_rest_error = wrap_angle(error - self._angular.braking())

@@ -71,20 +71,20 @@ class RollingGrid:
         self._height = np.zeros(shape, dtype=np.float32)
         self._free = np.zeros(shape, dtype=np.bool_)
         self._fresh = np.zeros(shape, dtype=np.bool_)
-        self._clearance: FloatArray | None = None
+        self._clearance: dict[bool, FloatArray] = {}
 
     def forget(self) -> None:
         """Begin with an empty floor plan (the robot was carried, or a visit ended)."""
         self._corner = None
         for array in (self._hits, self._height, self._free, self._fresh):
             array.fill(0)
-        self._clearance = None
+        self._clearance.clear()
 
     def observe(self, frame: Frame) -> None:
         """Take in a frame's depth; the plan's middle follows the robot's base."""
         base = frame.world_from_base[:2, 3]
         self._roll((float(base[0]), float(base[1])))
-        self._clearance = None
+        self._clearance.clear()
         hit = self._mark(frame)
         self._see_through(frame, hit)
         near = self._cells_around((float(base[0]), float(base[1])), self.options.footprint)
@@ -116,17 +116,18 @@ class RollingGrid:
         """(n, n) bool: cells whose floor, or the space above it, was seen free."""
         return self._free & ~self.occupied
 
-    @property
-    def clearance(self) -> FloatArray:
+    def clearance(self, *, hopeful: bool = False) -> FloatArray:
         """(n, n) metres from each cell's middle to the nearest cell not to be touched (inf if none is).
 
-        Those are the occupied ones and unseen ones close to them: a camera sees the face of a thing, and
-        what lies behind it belongs to the thing.
+        Those are the occupied ones and, unless `hopeful`, unseen ones close to them: a camera sees the face
+        of a thing, and what lies behind it belongs to the thing.
         """
-        if self._clearance is None:
-            near = self._distance(self.occupied) <= self.options.body
-            self._clearance = self._distance(self.occupied | (near & ~self._free))
-        return self._clearance
+        if hopeful not in self._clearance:
+            cells = self.occupied
+            if not hopeful:
+                cells = cells | ((self._distance(cells) <= self.options.body) & ~self._free)
+            self._clearance[hopeful] = self._distance(cells)
+        return self._clearance[hopeful]
 
     def _distance(self, cells: MaskArray) -> FloatArray:
         """(n, n) metres from each cell's middle to the nearest of `cells`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,17 @@ _DEPTH_RANGE_MM = (0.0, 5000.0)  # what the colours span, the same in every fram
 _BASE_RADIUS, _BASE_HEIGHT = 0.178, 0.109  # metres: the LoCoBot's base
 
 
+EncodedImages = Callable[[int], tuple[bytes, bytes] | None]
+"""Colours and depth of a frame as bytes, by its index; None if there are none."""
+
+
 class CameraLog:
     """Writes frames into a recording's sheets. Keeps the last frame's pose and no more."""
 
-    def __init__(self, book: SheetBook, images: Encoding, quality: int) -> None:
+    def __init__(
+        self, book: SheetBook, images: Encoding, quality: int, copies: EncodedImages | None = None
+    ) -> None:
+        self._copies = copies
         self._book = book
         self._images: Encoding = images
         self._quality = quality
@@ -83,9 +91,12 @@ class CameraLog:
         book.add(schema.FRAMES, stamp, rows.frame_row(event, updates))
         if event.command is not None:
             book.add(schema.COMMANDS, stamp, rows.command_row(event.command))
-        self.picture = encode_rgb(frame.rgb, self._images, self._quality)
+        copied = None if self._copies is None else self._copies(frame.index)
+        if copied is None:
+            copied = encode_rgb(frame.rgb, self._images, self._quality), encode_depth(frame.depth)
+        self.picture, depth = copied
         book.look(schema.RGB, rr.EncodedImage, stamp, blob=self.picture)
-        book.look(schema.DEPTH, rr.EncodedDepthImage, stamp, blob=encode_depth(frame.depth))
+        book.look(schema.DEPTH, rr.EncodedDepthImage, stamp, blob=depth)
         self._pose(schema.CAMERA, stamp, frame.world_from_camera)
         self._pose(schema.ROBOT, stamp, frame.world_from_base)
         if frame.camera != self._camera:

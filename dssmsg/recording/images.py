@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import io
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -20,6 +22,11 @@ Encoding = Literal["jpeg", "lossless"]
 MEDIA_TYPES: dict[Encoding, str] = {"jpeg": "image/jpeg", "lossless": "image/png"}
 
 _FAST = 1  # zlib level; level 6 is several times slower for little less
+_MAX_PIXELS = 64_000_000
+"""Of a picture, or of all masks of a frame: what a file claims beyond that is not decoded."""
+
+Size = tuple[int, int]
+"""Height and width in pixels."""
 
 
 def encode_rgb(rgb: ByteArray, encoding: Encoding, quality: int = 80) -> bytes:
@@ -33,9 +40,9 @@ def encode_rgb(rgb: ByteArray, encoding: Encoding, quality: int = 80) -> bytes:
     return buffer.getvalue()
 
 
-def decode_rgb(data: bytes) -> ByteArray:
-    """The (H, W, 3) uint8 image of a JPEG or PNG."""
-    with Image.open(io.BytesIO(data)) as image:
+def decode_rgb(data: bytes, size: Size | None = None) -> ByteArray:
+    """The (H, W, 3) uint8 image of a JPEG or PNG. Raises ValueError or OSError as `_opened` does."""
+    with _opened(data, size) as image:
         return np.asarray(image.convert("RGB"))
 
 
@@ -44,9 +51,9 @@ def encode_depth(depth: Float32Array) -> bytes:
     return encode_png16(np.rint(depth * np.float32(1000.0)).astype(np.uint16))
 
 
-def decode_depth(data: bytes) -> Float32Array:
-    """Depth (H, W) float32 metres of a 16-bit millimetre PNG."""
-    return depth_from_millimetres(decode_png16(data))
+def decode_depth(data: bytes, size: Size | None = None) -> Float32Array:
+    """Depth (H, W) float32 metres of a 16-bit millimetre PNG. Raises as `decode_png16` does."""
+    return depth_from_millimetres(decode_png16(data, size))
 
 
 def encode_png16(values: NDArray[np.uint16]) -> bytes:
@@ -62,10 +69,33 @@ def encode_png16(values: NDArray[np.uint16]) -> bytes:
     return buffer.getvalue()
 
 
-def decode_png16(data: bytes) -> NDArray[np.uint16]:
-    """The (H, W) uint16 image of a 16-bit grey PNG."""
-    with Image.open(io.BytesIO(data)) as image:
-        return np.asarray(image).astype(np.uint16)
+def decode_png16(data: bytes, size: Size | None = None) -> NDArray[np.uint16]:
+    """The (H, W) uint16 image of a 16-bit grey PNG. Raises ValueError or OSError as `_opened` does."""
+    with _opened(data, size) as image:
+        values = np.asarray(image)
+    if values.ndim != 2:
+        raise ValueError(f"expected a grey image, got {values.shape}")
+    return values.astype(np.uint16)
+
+
+@contextmanager
+def _opened(data: bytes, size: Size | None) -> Iterator[Image.Image]:
+    """An image whose size was looked at before its pixels are decoded.
+
+    Raises OSError where the bytes are no image, ValueError for another (H, W) than `size` or too
+    many pixels.
+    """
+    try:
+        image = Image.open(io.BytesIO(data))
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from error
+    with image:
+        width, height = image.size
+        if size is not None and (height, width) != tuple(size):
+            raise ValueError(f"expected an image of {size[1]}x{size[0]} pixels, got {width}x{height}")
+        if width * height > _MAX_PIXELS:
+            raise ValueError(f"expected at most {_MAX_PIXELS} pixels, got {width}x{height}")
+        yield image
 
 
 def encode_masks(masks: list[MaskArray]) -> tuple[bytes, tuple[int, int, int]]:
@@ -78,11 +108,20 @@ def encode_masks(masks: list[MaskArray]) -> tuple[bytes, tuple[int, int, int]]:
 
 
 def decode_masks(data: bytes, shape: tuple[int, int, int]) -> MaskArray:
-    """The (count, H, W) bool masks of one frame."""
+    """The (count, H, W) bool masks of one frame. Raises ValueError or zlib.error where they are not that."""
     count, height, width = shape
     if count == 0:
         return np.zeros((0, height, width), dtype=np.bool_)
-    bits = np.frombuffer(zlib.decompress(data), dtype=np.uint8).reshape(count, height, -1)
+    if min(shape) < 0 or count * height * width > _MAX_PIXELS:
+        raise ValueError(f"expected masks of at most {_MAX_PIXELS} pixels, got {count}x{height}x{width}")
+    size = count * height * -(-width // 8)
+    # A pixel more than there may be, so that a stream that goes on is noticed and not unpacked.
+    packed = zlib.decompressobj().decompress(data, size + 1)
+    if len(packed) != size:
+        raise ValueError(
+            f"expected {size} bytes of masks, got {'more' if len(packed) > size else len(packed)}"
+        )
+    bits = np.frombuffer(packed, dtype=np.uint8).reshape(count, height, -1)
     return np.unpackbits(bits, axis=2, count=width).astype(np.bool_)
 
 
@@ -96,6 +135,6 @@ def encode_instances(instance_ids: IntArray) -> bytes:
     return encode_png16(instance_ids.astype(np.uint16))
 
 
-def decode_instances(data: bytes) -> IntArray:
-    """Instance ids (H, W) int32 of a 16-bit PNG."""
-    return cast("NDArray[Any]", decode_png16(data)).astype(np.int32)
+def decode_instances(data: bytes, size: Size | None = None) -> IntArray:
+    """Instance ids (H, W) int32 of a 16-bit PNG. Raises as `decode_png16` does."""
+    return cast("NDArray[Any]", decode_png16(data, size)).astype(np.int32)

@@ -31,6 +31,8 @@ VIEWPOINT_COLOUR: Colour = (150, 200, 175)
 ROBOT_COLOUR: Colour = (245, 245, 245)
 TRAIL_COLOUR: Colour = (250, 130, 200)
 NAV_PATH_COLOUR: Colour = (255, 255, 255)
+GOAL_COLOUR: Colour = (255, 215, 90)
+FOCUS_COLOUR: Colour = (255, 255, 255)
 
 CHANGE_COLOURS: dict[str, Colour] = {
     "object_added": (80, 220, 120),
@@ -71,6 +73,9 @@ STATE_COLOURS: dict[str, Colour] = {
     "replan": (240, 110, 80),
     "arrived": (80, 220, 120),
     "blocked": (240, 70, 70),
+    "inspect": (235, 200, 90),
+    "seen": (40, 180, 90),
+    "done": (150, 155, 165),
 }
 
 

@@ -41,6 +41,14 @@ def feature_blob(feature: Float32Array) -> tuple[str, bytes]:
     return hashlib.blake2b(data, digest_size=16).hexdigest(), data
 
 
+def feature_of(data: bytes) -> Float32Array:
+    """The feature vector of `feature_blob`'s bytes. Raises ValueError if they are none, or not finite."""
+    vector = np.frombuffer(data, dtype="<f4").astype(np.float32)
+    if not np.isfinite(vector).all():
+        raise ValueError("expected a feature of finite numbers")
+    return vector
+
+
 def frame_row(event: events.FrameCaptured, updates: int) -> Row:
     """A row of `/frames`; `updates` is how many changes the graph had gone through before it."""
     frame = event.frame
@@ -112,7 +120,7 @@ def detections_from_row(row: Mapping[str, Any], masks: Any, features: Mapping[st
     """The detections of a row of `/detections`; `masks` (count, H, W) decoded, features by hash."""
 
     def feature(name: str) -> Float32Array | None:
-        return np.frombuffer(features[name], dtype="<f4").astype(np.float32) if name else None
+        return feature_of(features[name]) if name else None
 
     runners_up = json.loads(row["label_scores"])
     boxes = np.asarray(row["boxes"], dtype=np.float64).reshape(-1, 4)

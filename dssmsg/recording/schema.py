@@ -13,8 +13,8 @@ from typing import Any
 
 import pyarrow as pa
 
-SCHEMA_VERSION = 1
-"""Raised whenever an older reader would misunderstand a newer file."""
+SCHEMA_VERSION = 2
+"""Raised whenever what a table holds changes; `dssmsg.recording.migrations` reads the older ones."""
 
 APPLICATION_ID = "dssmsg"
 
@@ -65,6 +65,9 @@ FRAMES = Table(
     },
 )
 COMMANDS = Table("/commands", "Command", {"linear": REAL, "angular": REAL, "pan": REAL, "tilt": REAL})
+ADVICE = Table(  # of a replay: the commands that navigation asked for and nobody carried out
+    "/advice", "Advice", {"linear": REAL, "angular": REAL, "pan": REAL, "tilt": REAL}
+)
 DETECTIONS = Table(
     "/detections",
     "Detections",
@@ -89,6 +92,15 @@ GRAPH_LOG = Table(
     "GraphChange",
     {"kind": TEXT, "subjects": TEXT, "cause": TEXT, "scores": TEXT, "json": TEXT},
 )
+SNAPSHOTS = Table(
+    "/graph_snapshots",
+    "GraphSnapshot",
+    {
+        "updates": WHOLE,  # how many changes are in it
+        "frame": WHOLE,  # the last one of these changes
+        "graph": BYTES,  # zlib of the graph's JSON
+    },
+)
 PHASES = Table("/phases", "Phase", {"phase": TEXT, "visit": WHOLE, "index": WHOLE})
 WINDOWS = Table("/windows", "Window", {"viewpoint": TEXT, "verdicts": TEXT, "json": TEXT})
 MATCHES = Table("/match", "Match", {"query": TEXT, "json": TEXT})
@@ -107,10 +119,12 @@ LOGS = Table("/logs", "Log", {"logger": TEXT, "level": TEXT, "message": TEXT})
 TABLES = (
     FRAMES,
     COMMANDS,
+    ADVICE,
     DETECTIONS,
     BLOBS,
     TRUTH,
     GRAPH_LOG,
+    SNAPSHOTS,
     PHASES,
     WINDOWS,
     MATCHES,
@@ -148,6 +162,11 @@ NAV_PATH = "/world/nav_path"
 PHASE_STATE = "/nav/phase"
 SCORES = "/scores"
 MATRIX = "/matrix"
+TARGET = "/target"
+MATCHED = "/world/matched"
+MATCH_TEXT = "/match_text"  # not below /match: the table there shows what stands below it
+FOCUS = "/world/focus"  # added by `dssmsg view --focus`, in no file
+FOCUS_TEXT = "/focus"
 WINDOW_TEXT = "/window"
 WINDOW_BEFORE = "/window/before"
 WINDOW_NOW = "/window/now"

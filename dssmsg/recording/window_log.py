@@ -52,16 +52,31 @@ class WindowLog:
         memory.columns.append((event.frame, now))
         text = self._table(event, memory, graph)
         self._book.look(schema.WINDOW_TEXT, rr.TextDocument, stamp, text=text, media_type="text/markdown")
-        if event.verdicts and memory.pictures:
-            before = next(
-                (blob for frame, blob in reversed(memory.pictures) if frame in event.comparison),
-                memory.pictures[0][1],
-            )
-            self._book.look(schema.WINDOW_BEFORE, rr.EncodedImage, stamp, blob=before)
+        if event.verdicts:
+            before = self._before(event, memory, graph)
+            if before is None:
+                self._book.log_now(schema.WINDOW_BEFORE, stamp, rr.Clear(recursive=False))
+            else:
+                self._book.look(schema.WINDOW_BEFORE, rr.EncodedImage, stamp, blob=before)
             self._book.look(schema.WINDOW_NOW, rr.EncodedImage, stamp, blob=picture)
         if memory.frames % _PICTURES == 0:
             memory.pictures.append((event.frame, picture))
         memory.frames += 1
+
+    def _before(self, event: events.WindowEvaluated, memory: _Memory, graph: GraphView) -> bytes | None:
+        """An earlier picture: of this viewpoint, else of the last that saw an object of the verdict."""
+        for frame, blob in reversed(memory.pictures):
+            if frame in event.comparison:
+                return blob
+        if memory.pictures:
+            return memory.pictures[0][1]
+        for object_id in event.verdicts:
+            node = graph.objects.get(object_id)
+            for viewpoint in reversed(node.viewpoints if node is not None else ()):
+                other = self._memory.get(viewpoint)
+                if other is not None and other.pictures:
+                    return other.pictures[-1][1]
+        return None
 
     def _table(self, event: events.WindowEvaluated, memory: _Memory, graph: GraphView) -> str:
         frames = [frame for frame, _ in memory.columns]

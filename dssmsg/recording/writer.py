@@ -17,14 +17,16 @@ from dssmsg import events
 from dssmsg.graph import codec
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import describe, palette, rows, schema
-from dssmsg.recording.blueprint import eye_over, review_layout
+from dssmsg.recording.blueprint import eye_over, make_layout
 from dssmsg.recording.camera_log import CameraLog
 from dssmsg.recording.images import Encoding
 from dssmsg.recording.match_log import MatchLog
 from dssmsg.recording.messages import MessageFile
 from dssmsg.recording.mission_card import MissionCard
+from dssmsg.recording.reader import Recording
 from dssmsg.recording.scene_log import SceneLog
 from dssmsg.recording.sheets import SheetBook, Stamp, path_part
+from dssmsg.recording.snapshots import SnapshotKeeper
 from dssmsg.recording.window_log import WindowLog
 
 _CHANGE_GROUPS = {
@@ -40,8 +42,10 @@ _CHANGE_GROUPS = {
 class RecordingWriter:
     """One recording in the making. Not thread-safe: one thread opens, writes, flushes and closes it.
 
+    `copied` is a recording of the same frames in the same encoding: its images are taken over as they are.
+
     Raises StorageError where the file cannot be created (it exists, the folder is read-only) or a write
-    failed (full disk).
+    failed (full disk), InputError where `copied` does not read.
     """
 
     def __init__(
@@ -51,9 +55,13 @@ class RecordingWriter:
         *,
         images: Encoding = "jpeg",
         quality: int = 80,
+        layout: str = "review",
+        copied: Path | None = None,
     ) -> None:
         self.path = path
         self._images: Encoding = images
+        self._layout = layout
+        self._copied = None if copied is None else Recording.open(copied)
         self._file = MessageFile(path)
         self._stream = rr.RecordingStream(
             schema.APPLICATION_ID,
@@ -64,8 +72,10 @@ class RecordingWriter:
         # Not Rerun's own file sink: it truncates what is there, and waits for ever on a disk that is full.
         self._bytes = rr.binary_stream(self._stream)
         self._book = SheetBook(self._stream)
-        self._camera = CameraLog(self._book, images, quality)
+        copies = None if self._copied is None else self._copied.encoded_images
+        self._camera = CameraLog(self._book, images, quality, copies)
         self._graph = SceneGraph()
+        self._snapshots = SnapshotKeeper()
         self._scene = SceneLog(self._stream)
         self._scene_waits = False
         self._viewpoint: str | None = None
@@ -85,6 +95,7 @@ class RecordingWriter:
             events.Matched: self._matched,
             events.LlmCalled: self._llm_called,
             events.NavigationChanged: self._navigation_changed,
+            events.Advised: self._advised,
             events.EpisodeEnded: self._episode_ended,
             events.ErrorOccurred: self._error_occurred,
             events.StageTimed: self._stage_timed,
@@ -118,6 +129,8 @@ class RecordingWriter:
         finally:
             self._file.close()
             self._stream.disconnect()
+            if self._copied is not None:
+                self._copied.close()
 
     # Events, in the order of `dssmsg.events`.
 
@@ -134,6 +147,7 @@ class RecordingWriter:
             "parent": event.parent,
             "feature_space": event.feature_space,
             "images": self._images,
+            "layout": self._layout,
             "source": {
                 "name": source.name,
                 "scene": source.scene,
@@ -143,12 +157,15 @@ class RecordingWriter:
                 "rate_hz": source.rate_hz,
                 "credits": source.credits,
                 "depth_noise_m": source.depth_noise_m,
+                "accelerations": source.accelerations,
                 "facts": source.facts,
             },
         }
         # Two layouts in one file would compete, so this one knows what is known before the first frame.
         stops = [(stop.x, stop.y, 0.0) for tour in source.tours for stop in tour]
-        self._stream.send_blueprint(review_layout(eye_over(stops, margin=3.6)))
+        # The default, not the active one: which of two active ones wins depends on which is loaded first.
+        layout = make_layout(self._layout, eye_over(stops, margin=3.6))
+        self._stream.send_blueprint(layout, make_active=False, make_default=True)
         self._stream.send_recording_name(event.run_id)
         self._stream.send_property(
             schema.RUN_PROPERTY,
@@ -220,6 +237,8 @@ class RecordingWriter:
                 counts[_CHANGE_GROUPS[change.kind]] += 1
         for change in event.changes:
             self._graph.apply(change)
+        if (snapshot := self._snapshots.row(self._graph, event.frame)) is not None:
+            self._book.add(schema.SNAPSHOTS, stamp, snapshot)
         for group, count in counts.items():
             self._book.plot(f"changes/{group}", stamp, count)
         nodes = self._graph.objects.values()
@@ -252,7 +271,7 @@ class RecordingWriter:
         else:
             text = f"“{event.query}” matches nothing"
         self._book.text(f"{schema.LOG}/match", stamp, text, "INFO")
-        self._matches.add(event, stamp)
+        self._matches.add(event, stamp, self._graph)
         self._card.matched(event)
         self._show_mission(stamp)
 
@@ -264,7 +283,8 @@ class RecordingWriter:
             f"{schema.LLM_TEXT}/{event.role}",
             rr.TextDocument,
             stamp,
-            text=f"## {event.role} ({event.provider})\n\n{event.prompt}\n\n---\n\n{answer}\n",
+            # The answer first: prompts are long, and the first lines are what is seen.
+            text=f"## {event.role} ({event.provider})\n\n{answer}\n\n---\n\n{event.prompt}\n",
             media_type="text/markdown",
         )
 
@@ -288,6 +308,10 @@ class RecordingWriter:
             self._book.text(f"{schema.LOG}/nav", stamp, f"{event.state}: {event.detail}", "INFO")
         self._card.navigation_changed(event)
         self._show_mission(stamp)
+
+    def _advised(self, event: events.Advised) -> None:
+        stamp = self._stamp(event.frame, event.sim_time)
+        self._book.add(schema.ADVICE, stamp, rows.command_row(event.command))
 
     def _episode_ended(self, event: events.EpisodeEnded) -> None:
         stamp = self._stamp(event.frame, event.sim_time)

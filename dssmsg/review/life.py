@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dssmsg.errors import InputError
+from dssmsg.events import WindowEvaluated
 from dssmsg.graph.changes import (
     Change,
     EdgeAdded,
@@ -64,16 +65,19 @@ class Life:
         }
 
 
+_IDENTITY_KINDS = (ObjectAdded.kind, ObjectsJoined.kind, ObjectRemoved.kind)
+
+
 def life_of(recording: Recording, object_id: str) -> Life:
     """The life of an object. Raises InputError, naming some that there are, where it never was."""
-    changes = list(recording.changes())
-    if not any(isinstance(c, ObjectAdded) and c.object_id == object_id for c in changes):
-        known = [c.object_id for c in changes if isinstance(c, ObjectAdded)]
+    identities = list(recording.changes(kinds=_IDENTITY_KINDS))
+    known = [c.object_id for c in identities if isinstance(c, ObjectAdded)]
+    if object_id not in known:
         some = f"{known[0]} to {known[-1]}" if known else "none at all"
         raise InputError(f"there is no object '{object_id}' in the recording; it has {some}", key="--object")
-    ids = _ids(changes, object_id)
+    ids = _ids(identities, object_id)
     events = sorted(
-        [*_told(changes, ids), *_windows(recording.windows(), ids)],
+        [*_told(list(recording.changes(about=ids)), ids), *_windows(recording.told.windows_about(ids), ids)],
         key=lambda event: (event.frames[0], event.frames[-1]),
     )
     graph = recording.graph_at()
@@ -215,28 +219,28 @@ def _scores(change: Change) -> dict[str, tuple[float, float | None]]:
     return {score.name: (score.value, score.threshold) for score in change.scores}
 
 
-def _windows(windows: Iterable[Mapping[str, Any]], ids: Sequence[str]) -> Iterator[LifeEvent]:
+def _windows(windows: Iterable[WindowEvaluated], ids: Sequence[str]) -> Iterator[LifeEvent]:
     """What the viewpoints' windows said: evidence in a row told together, verdicts by themselves."""
     row: list[tuple[int, float, str]] = []
     for window in windows:
         said = [
-            (e["frame"], window["sim_time"], e["verdict"])
-            for e in window["evidence"]
-            if e["object"] in ids and e["frame"] == window["frame"]
+            (evidence.frame, window.sim_time, evidence.verdict)
+            for evidence in window.evidence
+            if evidence.object_id in ids and evidence.frame == window.frame
         ]
         for item in said:
             if row and row[-1][2] != item[2]:
                 yield _evidence(row)
                 row = []
             row.append(item)
-        for object_id, verdict in window["verdicts"].items():
+        for object_id, verdict in window.verdicts.items():
             if object_id in ids:
-                base = ", ".join(map(str, window["base"]))
+                base = ", ".join(map(str, window.base))
                 yield LifeEvent(
-                    (window["frame"],),
-                    window["sim_time"],
-                    f"verdict of {window['viewpoint']}: {verdict} (window: base frames {base})",
-                    {"consistent frames": (float(window["threshold"]), None)},
+                    (window.frame,),
+                    window.sim_time,
+                    f"verdict of {window.viewpoint_id}: {verdict} (window: base frames {base})",
+                    {"consistent frames": (float(window.threshold), None)},
                 )
     if row:
         yield _evidence(row)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 from dssmsg.graph.nodes import BELIEVED
-from dssmsg.recording import schema
 from dssmsg.recording.reader import Recording
 
 
@@ -17,18 +17,31 @@ def summarize(recording: Recording) -> dict[str, Any]:
     counted: the graph as far as its changes can be folded, `changes_readable` of `changes_recorded`.
     """
     stored = (recording.stored_summary or {}) if recording.complete else {}
+    counted = count(recording)
     notes = recording.cut_notes()
     return {
-        **count(recording),
-        **stored,
+        **counted,
+        **{name: value for name, value in stored.items() if _alike(value, counted.get(name))},
         **({"notes": notes} if notes else {}),
         "recording": str(recording.path),
         "changes_readable": recording.changes_readable,
         "changes_recorded": recording.changes_recorded,
         "frames_readable": recording.frames_readable,
-        "schema_version": schema.SCHEMA_VERSION,
+        "schema_version": recording.schema_version,
         "complete": recording.complete,
     }
+
+
+def _alike(value: Any, counted: Any) -> bool:
+    """Whether a stored value has the type of the counted one, down to its items: files may say anything."""
+    if counted is None or value is None:
+        return True
+    if isinstance(counted, Mapping):
+        number = isinstance(value, Mapping) and all(isinstance(item, int | float) for item in value.values())
+        return number and all(isinstance(name, str) for name in value)
+    if isinstance(counted, list):
+        return isinstance(value, list) and all(isinstance(item, dict) for item in value)
+    return isinstance(value, int | float) if isinstance(counted, int) else isinstance(value, type(counted))
 
 
 def count(recording: Recording) -> dict[str, Any]:
@@ -38,8 +51,8 @@ def count(recording: Recording) -> dict[str, Any]:
     believed = [node for node in graph.objects.values() if node.status == BELIEVED]
     indices = recording.frame_indices
     seconds: Counter[str] = Counter()
-    for stages in recording.timings().values():
-        seconds.update(stages)
+    for timed in recording.told.timings:
+        seconds.update(timed.seconds)
     return {
         "name": facts["name"],
         "run_id": facts["run_id"],
@@ -57,10 +70,10 @@ def count(recording: Recording) -> dict[str, Any]:
         "changes": recording.change_counts(),
         "phases": recording.phases(),
         "episodes": [
-            {name: episode[name] for name in ("goal", "outcome", "reason")}
-            for episode in recording.episodes()
+            {"goal": one.goal, "outcome": one.outcome, "reason": one.reason}
+            for one in recording.told.episodes
         ],
-        "errors": len(recording.errors()),
+        "errors": len(recording.told.errors),
         "collisions": recording.collisions(indices[-1]) if indices else 0,
         "seconds": {stage: round(value, 3) for stage, value in sorted(seconds.items())},
     }

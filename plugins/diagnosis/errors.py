@@ -1,4 +1,4 @@
-"""diagnosis/errors: recorded failures of plug-ins, the layer that failed most and worst first."""
+"""diagnosis/errors: recorded failures of plug-ins; the layers that they work in, worst first."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
-from dssmsg.interfaces.diagnosis import Finding
+from dssmsg.interfaces.diagnosis import BLAME, Finding
 
 
 class Config(PluginConfig):
@@ -18,7 +18,7 @@ class Config(PluginConfig):
 
 
 class ErrorsRule:
-    """One finding a failed plug-in. How sure: 1 if it ended the run, else half its share of the failures."""
+    """One finding a failed plug-in. How sure: 1 if it ended the run, else half its share of all."""
 
     def __init__(self, config: Config) -> None:
         self._shown = config.shown
@@ -32,6 +32,9 @@ class ErrorsRule:
             by_plugin.setdefault(error["plugin"], []).append(error)
         findings = []
         for plugin, own in by_plugin.items():
+            layer = BLAME.get(plugin.partition("/")[0])
+            if layer is None:  # an observer, or the mission: neither sees nor drives
+                continue
             fatal = any(error["fatal"] for error in own)
             skipped = sum(bool(error["skipped"]) for error in own)
             confidence = 1.0 if fatal else 0.5 * len(own) / len(errors)
@@ -39,7 +42,7 @@ class ErrorsRule:
             times = "once" if len(own) == 1 else f"{len(own)} times"
             findings.append(
                 Finding(
-                    layer=plugin.partition("/")[0],
+                    layer=layer,
                     frame=own[0]["frame"],
                     confidence=confidence,
                     summary=f"{plugin} failed {times} and {consequence}: {own[0]['message']}",

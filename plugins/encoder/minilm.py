@@ -9,18 +9,17 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
-from importlib import resources
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import Field
 
-from dssmsg.config_yaml import parse_yaml
 from dssmsg.errors import PluginError
 from dssmsg.frame import ByteArray, Float32Array
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
+from dssmsg.lexicon.aliases import builtin_aliases, plain_name
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
@@ -70,14 +69,17 @@ class MinilmEncoder:
         self._config = config
         self._model_path = _pinned_file(*MODEL)
         self._tokenizer_path = _pinned_file(*TOKENIZER)
-        self._aliases = {**builtin_aliases(), **{_plain(k): _plain(v) for k, v in config.aliases.items()}}
+        self._aliases = {
+            **builtin_aliases(),
+            **{plain_name(k): plain_name(v) for k, v in config.aliases.items()},
+        }
         self._labels: OrderedDict[str, Float32Array] = OrderedDict()
         self._session: Any = None
         self._tokenizer: Any = None
 
     def canonical(self, label: str) -> str:
         """The name under which a label is encoded: lower case, `_` as space, aliases resolved."""
-        name = _plain(label)
+        name = plain_name(label)
         return self._aliases.get(name, name)
 
     def encode_labels(self, labels: Sequence[str]) -> Float32Array:
@@ -145,17 +147,6 @@ class MinilmEncoder:
                 str(self._model_path), options, providers=["CPUExecutionProvider"]
             )
         return self._session, self._tokenizer
-
-
-def builtin_aliases() -> dict[str, str]:
-    """Other name -> canonical name, from `dssmsg/data/aliases.yaml`."""
-    text = resources.files("dssmsg").joinpath("data/aliases.yaml").read_text(encoding="utf-8")
-    table: Mapping[str, Sequence[str]] = parse_yaml(text, file="aliases.yaml")
-    return {_plain(other): _plain(canonical) for canonical, others in table.items() for other in others}
-
-
-def _plain(label: str) -> str:
-    return " ".join(label.replace("_", " ").lower().split())
 
 
 def _pinned_file(package: str, name: str, sha256: str) -> Path:

@@ -7,7 +7,8 @@
 The last four go beyond the paper and ask about the one object that is taken for the core target: is it the
 best match of the map, do the named relations hold for it, does it look as described, is it seen well from
 here. With all four weights 0 the paper's formula is left, and the core is matched like any other node. Where
-a sentence only names a need, its relations are guesses of the language model and count `guessed` times.
+a sentence only names a need, relations to things that it does not name are guesses of the language model:
+they are left to s_top, and count `guessed` times in s_relation.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from dssmsg.errors import ConfigError
@@ -63,15 +65,18 @@ class Config(PluginConfig):
     core_weight: float = Field(1.0, ge=0, description="Weight of how well the core target itself matches.")
     relation_weight: float = Field(1.0, ge=0, description="Weight of named relations held against geometry.")
     guessed: float = Field(
-        0.5,
+        0.0,
         ge=0,
         le=1,
-        description="Share of relation_weight where a sentence names a need: company is guessed.",
+        description="How much a relation counts in s_relation where company of a need is only guessed.",
     )
     attribute_weight: float = Field(0.5, ge=0, description="Weight of colours and sizes of the core target.")
     view_weight: float = Field(0.3, ge=0, description="Weight of how large the core target is in the image.")
     vanished: float = Field(
         0.9, ge=0, le=1, description="Factor on the similarity of objects that are gone; 0 leaves them out."
+    )
+    other_name: float = Field(
+        0.7, ge=0, le=1, description="Factor on s_core of a synonym where a thing of the very name exists."
     )
     tentative: bool = Field(False, description="Whether objects that are not yet believed count too.")
 
@@ -85,12 +90,14 @@ class Config(PluginConfig):
 class _Query:
     """One target graph against the whole map. similarity, allowed (T, N) over all things.
 
-    For each thing (N,) taken for the core target: `core`, `relation`, `attribute` scores 0..1.
+    `rows` are the target nodes (R,) that s_node and s_top ask for, all but those of "without ..."; `degrees`
+    (R,) theirs. For each thing (N,) taken for the core target: `core`, `relation`, `attribute` scores 0..1.
     """
 
     target: TargetGraph
     things: Sequence[Thing]
-    degrees: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+    rows: NDArray[np.int64]
+    degrees: NDArray[np.int64]
     similarity: FloatArray
     allowed: MaskArray
     core: FloatArray
@@ -161,27 +168,32 @@ class DssmGrounding:
         best = similarity.max(axis=1, keepdims=True)
         allowed = (similarity >= self._config.share * best) & (similarity > 0)
         relative = np.where(allowed, similarity / np.where(best > 0, best, 1.0), 0.0)
-        count = len(things)
-        relation, witnesses = np.zeros(count), {}
-        attribute = np.zeros(count)
+        relation, witnesses = np.zeros(len(things)), {}
+        attribute = np.zeros(len(things))
+        edges, unwanted = [(e.source, e.target, e.relation) for e in target.edges], frozenset[int]()
         if not self._config.is_paper:
+            relative *= _own_names(target, things, self._config.other_name)
             looks = _looks(target, things, allowed)
             attribute = looks[target.core]
-            tree = TargetTree([(e.source, e.target, e.relation) for e in target.edges], target.core)
+            tree = TargetTree(edges, target.core, _sureness(target, self._config.guessed))
+            unwanted = tree.unwanted()
             search = Witnesses(tree, relative * looks, RelationCheck(self._graph, things).holds)
             for one in np.flatnonzero(allowed[target.core]).tolist() if tree.links else ():
                 answer = search.of(one)
                 relation[one], witnesses[one] = answer.score, answer.witnesses
-        edges = [(edge.source, edge.target) for edge in target.edges]
+        rows = np.array([row for row in range(len(target.nodes)) if row not in unwanted])
+        wanted_edges = [(a, b) for a, b, _word in edges if not unwanted & {a, b}]
+        degrees = target_degrees(len(target.nodes), wanted_edges)[rows]
         return _Query(
-            target, things, target_degrees(len(target.nodes), edges), similarity, allowed,
+            target, things, rows, degrees, similarity, allowed,
             relative[target.core], relation, attribute, witnesses,
         )  # fmt: skip
 
     def _scored(self, query: _Query, subgraph: Subgraph) -> _Scored:
         """The best answer within one viewpoint, over the objects that may be the core target."""
-        columns, core = subgraph.things, query.target.core
-        similarity, allowed = query.similarity[:, columns], query.allowed[:, columns]
+        pairs = np.ix_(query.rows, subgraph.things)
+        similarity, allowed = query.similarity[pairs], query.allowed[pairs]
+        core = int(np.flatnonzero(query.rows == query.target.core)[0])
         s_node = node_score(similarity)
         unlimited = self._config.is_paper or not allowed[core].any()
         best: _Scored | None = None
@@ -210,12 +222,12 @@ class DssmGrounding:
         assert best is not None
         return best
 
-    def _weights(self, target: TargetGraph) -> dict[str, float]:
+    def _weights(self) -> dict[str, float]:
         """The terms that are asked for, with their weights."""
         own = self._config
         weights = {
             "s_core": own.core_weight,
-            "s_relation": own.relation_weight * (own.guessed if target.kind == "implicit" else 1.0),
+            "s_relation": own.relation_weight,
             "s_attribute": own.attribute_weight,
             "s_view": own.view_weight,
         }
@@ -225,7 +237,7 @@ class DssmGrounding:
         self, query: _Query, subgraph: Subgraph, allowed: MaskArray
     ) -> list[tuple[int, dict[str, float], float]]:
         """Places of the things that may be the core, with their terms and the weighted sum, largest first."""
-        weights = self._weights(query.target)
+        weights = self._weights()
         found = []
         for place in np.flatnonzero(allowed).tolist():
             one = int(subgraph.things[place])
@@ -255,8 +267,8 @@ class DssmGrounding:
 
     def _candidate(self, query: _Query, one: _Scored, rank: int) -> Candidate:
         matching, words = {}, []
-        for row, node in enumerate(query.target.nodes):
-            place = int(one.match.columns[row])
+        for row, place in zip(query.rows.tolist(), one.match.columns.tolist(), strict=True):
+            node = query.target.nodes[row]
             if place == UNMATCHED:
                 words.append(f"{node.label}: none")
                 continue
@@ -270,6 +282,30 @@ class DssmGrounding:
             words += _relations(query, int(one.subgraph.things[one.core]))
             one.scores["core_distance"] = one.distance
         return Candidate(one.subgraph.viewpoint_id, rank, one.scores, matching, "; ".join(words))
+
+
+def _sureness(target: TargetGraph, guessed: float) -> list[float]:
+    """How much each edge counts: 1 where the sentence names things, or both ends; else it is guessed."""
+    said = {word.strip(".,;:?!'\"").lower() for word in target.text.split()}
+    said |= {word.removesuffix("s") for word in said}
+    named = [
+        row == target.core or said.issuperset(node.label.lower().split())
+        for row, node in enumerate(target.nodes)
+    ]
+    return [
+        1.0 if target.kind != "implicit" or (named[edge.source] and named[edge.target]) else guessed
+        for edge in target.edges
+    ]
+
+
+def _own_names(target: TargetGraph, things: Sequence[Thing], other: float) -> FloatArray:
+    """(T, N) 1 where a thing has the very name of a target node, or nothing has it; else `other`.
+
+    To the encoder synonyms are the same word. Who says "sink" may mean the washbasin, but rather the sink.
+    """
+    labels = np.array([thing.label.lower() for thing in things])
+    same = np.array([labels == node.label.lower() for node in target.nodes])
+    return np.where(same | ~same.any(axis=1, keepdims=True), 1.0, other)
 
 
 def _with_core(allowed: MaskArray, core: int, place: int) -> MaskArray:

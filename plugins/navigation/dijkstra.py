@@ -3,8 +3,8 @@
 Dijkstra over the unblocked path edges, from the nearest waypoint to the goal viewpoint's; drive from one to
 the next in straight lines, as long as a rolling grid of what depth has shown has nothing in the corridor
 ahead. Something there is driven round inside the grid (A*). Where that fails the robot looks at it, so that
-it enters the map, blocks the edge, goes back to the waypoint left last and plans anew. At the goal it looks
-along the viewpoint's heading and tilt, then around.
+it enters the map, and if that shows no way round either blocks the edge, goes back to the waypoint left last
+and plans anew. At the goal it looks along the viewpoint's heading and tilt, then around.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pydantic import Field
@@ -24,11 +24,11 @@ from dssmsg.graph.paths import edge_key, nearest_waypoints, shortest_path
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.navigation import Step
 from dssmsg.interfaces.source import Command
-from dssmsg.navigation.detour import DetourOptions, find_detour
 from dssmsg.navigation.drive import Driver, wrap_angle
 from dssmsg.navigation.gaze import Gazes
-from dssmsg.navigation.grid import GridOptions, Point, RollingGrid
-from dssmsg.navigation.pose import floor_place, floor_pose
+from dssmsg.navigation.grid import GridOptions, Point
+from dssmsg.navigation.pose import floor_place, floor_pose, is_on_leg
+from dssmsg.navigation.surroundings import Obstacle, Surroundings
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
@@ -42,12 +42,12 @@ _INSPECT_RAD = math.radians(7.0)
 _INSPECT_TILT_RAD = math.radians(-12.0)
 _FIRST_M = 3.0
 """Further off than this only the very nearest is."""
-_LAST_RESORT_M = 20.0
-"""A way round may be this much longer than the straight one where no other edge leads to the goal."""
-_TIGHT_M = 0.015
-"""And through gaps that leave so little beside the robot."""
-_MAX_DETOURS = 4
+_MAX_DETOURS = 6
 """More detours than this on the way to one waypoint lead nowhere."""
+_AS_DRIVEN_M = 0.06
+"""Nearer to an edge than this the robot drives it as it was driven before."""
+_LOOK_AGAIN_M = 0.3
+"""After so many metres it is tried again to keep off what the way passes closely."""
 
 
 class Config(PluginConfig):
@@ -88,8 +88,9 @@ class _Drive:
 
     `corners`: what is left of a detour, which leads to the way's point `leg`; `unreachable`: waypoints that
     could not be got to from where the robot stood without an edge to blame; `closed`: edges that the drive
-    gave up itself; `avoided`: what the detour leads round; `found`: what is being looked at before its edge
-    is given up.
+    gave up itself; `reopened`: whether it has hoped for those again; `avoided`: what the detour leads round;
+    `found`: what is being looked at before its edge is given up; `kept_off`: where it was tried last to keep
+    off something close.
     """
 
     goals: tuple[str, ...] = ()
@@ -103,21 +104,14 @@ class _Drive:
     leg: int = 0
     unreachable: set[str] = field(default_factory=set)
     closed: set[tuple[str, str, str]] = field(default_factory=set)
-    avoided: _Obstacle | None = None
-    found: _Obstacle | None = None
+    reopened: bool = False
+    avoided: Obstacle | None = None
+    found: Obstacle | None = None
+    kept_off: Point | None = None
     inspecting: Gazes | None = None
     gazes: Gazes | None = None
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     still: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Obstacle:
-    """Something in the corridor: where, on which leg of the way, in how many cells."""
-
-    place: Point
-    leg: int
-    cells: int
 
 
 class Dijkstra:
@@ -137,13 +131,12 @@ class Dijkstra:
         )
         low, high = config.obstacle_height
         noise = GridOptions().noise if source is None else source.depth_noise_m
-        self._grid = RollingGrid(
-            GridOptions(low=low, high=high, min_pixels=config.obstacle_points, noise=noise)
+        self._floor = Surroundings(
+            GridOptions(low=low, high=high, min_pixels=config.obstacle_points, noise=noise),
+            config.robot_radius,
+            config.obstacle_width,
+            config.obstacle_range,
         )
-        self._round = DetourOptions(radius=config.robot_radius)
-        self._far_round = replace(self._round, extra=_LAST_RESORT_M)
-        self._squeezing = replace(self._far_round, margin=_TIGHT_M)
-        self._seen: tuple[int, int] | None = None
         self._now = _Drive()
 
     def start(self, frame: Frame, goals: Sequence[str]) -> None:
@@ -153,13 +146,14 @@ class Dijkstra:
     def step(self, frame: Frame) -> Step:
         """The next command, or the end of the drive: success, no path, blocked, stuck."""
         now = self._now
-        self._look_at_floor(frame)
+        self._floor.observe(frame)
         if self._is_stuck(frame):
             return self._end(frame, "stuck", f"no motion in {now.still} frames")
+        if any(name not in self._graph.waypoints for name in now.path):
+            # An isolated waypoint has left the map.
+            now.planned, now.corners, now.leg, now.found, now.inspecting = False, (), 0, None, None
         if now.inspecting is not None and now.found is not None:
             return self._inspect(frame, now.inspecting, now.found)
-        if any(name not in self._graph.waypoints for name in now.path):
-            now.planned, now.corners, now.leg = False, (), 0  # an isolated waypoint has left the map
         if not now.planned:
             ending = self._plan(frame)
             if ending is not None:
@@ -198,11 +192,18 @@ class Dijkstra:
             if path is None:
                 continue
             now.goal, now.path, now.planned, now.detours = goal, path, True, 0
-            if now.behind is None and len(path) > 1 and self._is_between(x, y, path[0], path[1]):
+            if (
+                now.behind is None
+                and len(path) > 1
+                and is_on_leg((x, y), self._xy(path[0]), self._xy(path[1]), _ON_EDGE_M)
+            ):
                 now.behind, now.path = path[0], path[1:]
             return None
         if not now.goals:
             return self._end(frame, "no path", "no goal was given")
+        if self._config.detour and now.closed and not now.reopened:
+            now.closed, now.reopened = set(), True  # from elsewhere there may be a way round after all
+            return self._plan(frame)
         after = f" after {now.replans} blocked edges" if now.replans else ""
         if now.unreachable and not starts:
             return self._end(frame, "blocked", f"no waypoint can be reached from here{after}")
@@ -219,21 +220,9 @@ class Dijkstra:
         now, tilt = self._now, math.radians(self._config.drive_tilt_deg)
         while now.path:
             here, way = floor_place(frame), [self._xy(name) for name in now.path]
-            found = self._first_obstacle(here, [*now.corners, *way[now.leg :]])
-            if found is not None:
-                if not now.corners:
-                    now.avoided = found
-                detour = None
-                if self._config.detour and now.detours < _MAX_DETOURS:
-                    options = self._detour_options()
-                    detour = find_detour(self._grid, here, way, options)
-                    if detour is None and options is self._far_round:
-                        detour = find_detour(self._grid, here, way, self._squeezing)
-                if detour is None:
-                    now.corners, now.leg = (), 0
-                    return self._blocked(frame, here, way)
-                now.corners, now.leg = detour.corners, detour.leg
-                now.detours += 1
+            if not self._is_passable(here, way):
+                now.corners, now.leg = (), 0
+                return self._blocked(frame, here, way)
             points = [*now.corners, *way[now.leg :]]
             then = points[1] if len(points) > 1 else None
             command = self._driver.drive_to(frame, points[0], tilt, then=then)
@@ -244,13 +233,57 @@ class Dijkstra:
             self._advance()
         return None
 
-    def _detour_options(self) -> DetourOptions:
-        """How far round: far only where no other edges lead to the goal."""
+    def _is_passable(self, here: Point, way: Sequence[Point]) -> bool:
+        """Whether the way is clear, or a detour leads round what is in it."""
+        now = self._now
+        points = [*now.corners, *way[now.leg :]]
+        found = self._floor.obstacle(here, points, self._undriven(here))
+        if found is None:
+            self._keep_off(here, way)
+            return True
+        if not now.corners:
+            now.avoided = found
+        return self._leads_round(here, way)
+
+    def _undriven(self, here: Point) -> int:
+        """How many of the next legs never were driven: a detour's, and the one back onto the way."""
+        now = self._now
+        if now.corners:
+            return len(now.corners) + (now.leg < len(now.path))
+        ends = self._edge_ends(0)
+        if ends is None:
+            return 1
+        return 0 if is_on_leg(here, self._xy(ends[0]), self._xy(ends[1]), _AS_DRIVEN_M) else 1
+
+    def _keep_off(self, here: Point, way: Sequence[Point]) -> None:
+        """Where the way passes something closely and there is room, drive in a bend round it."""
+        now = self._now
+        tried = now.kept_off is not None and math.dist(here, now.kept_off) < _LOOK_AGAIN_M
+        if now.corners or tried or not self._config.detour or self._floor.close_by(here, way) is None:
+            return
+        now.kept_off = here
+        detour = self._floor.way_round(here, way)
+        if detour is not None and detour.leg < len(way):
+            now.corners, now.leg = detour.corners, detour.leg
+
+    def _leads_round(self, here: Point, way: Sequence[Point]) -> bool:
+        """Whether there is a detour; the robot is on it from now on."""
+        now = self._now
+        if not self._config.detour or now.detours >= _MAX_DETOURS:
+            return False
+        detour = self._floor.way_round(here, way, far=self._is_only_way())
+        if detour is None:
+            return False
+        now.corners, now.leg = detour.corners, detour.leg
+        now.detours += 1
+        return True
+
+    def _is_only_way(self) -> bool:
+        """Whether no other edges lead to the goal than the one on which something stands."""
         now = self._now
         if now.avoided is None or (ends := self._edge_ends(now.avoided.leg)) is None:
-            return self._far_round
-        way = shortest_path(self._graph, ends[0], now.path[-1], without=edge_key(*ends))
-        return self._far_round if way is None else self._round
+            return True
+        return shortest_path(self._graph, ends[0], now.path[-1], without=edge_key(*ends)) is None
 
     def _edge_ends(self, leg: int) -> tuple[str, str] | None:
         """The waypoints between which the leg of that number leads; None for the way to the first one."""
@@ -272,26 +305,11 @@ class Dijkstra:
             now.behind, now.path = now.path[passed - 1], now.path[passed:]
             now.detours, now.avoided = 0, None
 
-    def _first_obstacle(self, here: Point, points: Sequence[Point]) -> _Obstacle | None:
-        """The first thing in the corridor within range."""
-        left = self._config.obstacle_range
-        for leg, (a, b) in enumerate(itertools.pairwise([here, *points])):
-            length = math.dist(a, b)
-            share = min(1.0, left / length) if length > 1e-9 else 1.0
-            end = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-            corridor = self._grid.corridor(a, end, self._config.obstacle_width)
-            if corridor.obstacle is not None:
-                return _Obstacle(corridor.obstacle, leg, corridor.cells)
-            left -= length
-            if left <= 0:
-                break
-        return None
-
     def _blocked(self, frame: Frame, here: Point, way: Sequence[Point]) -> Step:
         """No way round: look at what stands there, then give the edge up."""
         now = self._now
         # Where only the detour is closed, what it should have led round is still there.
-        now.found = self._first_obstacle(here, way) or now.avoided
+        now.found = self._floor.obstacle(here, way, self._undriven(here)) or now.avoided
         if now.found is None:
             return Step(self._stop(frame), "replan", now.path, detail="a detour was closed", goal=now.goal)
         x, y = now.found.place
@@ -300,8 +318,8 @@ class Dijkstra:
         now.inspecting = Gazes([(bearing + turn, _INSPECT_TILT_RAD) for turn in turns])
         return self._inspect(frame, now.inspecting, now.found)
 
-    def _inspect(self, frame: Frame, gazes: Gazes, found: _Obstacle) -> Step:
-        """Look at the obstacle; when that is done, block the edge that it stands on."""
+    def _inspect(self, frame: Frame, gazes: Gazes, found: Obstacle) -> Step:
+        """Look at the obstacle; if that shows no way round it, block the edge that it stands on."""
         now = self._now
         command, at_stop = gazes.advance(frame, self._driver)
         x, y = found.place
@@ -309,9 +327,12 @@ class Dijkstra:
         if command is not None:
             return Step(command, "inspect", now.path, detail=detail, goal=now.goal, at_stop=at_stop)
         now.found = now.inspecting = None
+        if self._leads_round(floor_place(frame), [self._xy(name) for name in now.path]):
+            command = self._stop(frame)
+            return Step(command, "detour", now.path, detail=detail, goal=now.goal, at_stop=at_stop)
         return self._give_up_edge(frame, found, detail, at_stop)
 
-    def _give_up_edge(self, frame: Frame, found: _Obstacle, detail: str, at_stop: bool) -> Step:
+    def _give_up_edge(self, frame: Frame, found: Obstacle, detail: str, at_stop: bool) -> Step:
         """Block the edge under an obstacle, and plan anew from the waypoint left last."""
         now = self._now
         ends = self._edge_ends(found.leg)
@@ -343,10 +364,8 @@ class Dijkstra:
 
     def _place_on(self, edge: Edge, place: Point) -> list[float]:
         """Where (x, y) the edge itself is blocked, as far as the grid shows it; else `place`."""
-        corridor = self._grid.corridor(
-            self._xy(edge.source), self._xy(edge.target), self._config.obstacle_width
-        )
-        return [round(value, 3) for value in corridor.obstacle or place]
+        on_edge = self._floor.blocked_place(self._xy(edge.source), self._xy(edge.target))
+        return [round(value, 3) for value in on_edge or place]
 
     # -- arriving -----------------------------------------------------------------------------------------
 
@@ -370,16 +389,6 @@ class Dijkstra:
 
     # -- helpers ------------------------------------------------------------------------------------------
 
-    def _look_at_floor(self, frame: Frame) -> None:
-        """Take a frame's depth into the grid, once; another visit begins with an empty one."""
-        seen = (frame.visit, frame.index)
-        if self._seen == seen:
-            return
-        if self._seen is not None and self._seen[0] != frame.visit:
-            self._grid.forget()
-        self._seen = seen
-        self._grid.observe(frame)
-
     def _is_stuck(self, frame: Frame) -> bool:
         pose = floor_pose(frame)
         moved = math.hypot(pose[0] - self._now.pose[0], pose[1] - self._now.pose[1])
@@ -392,16 +401,6 @@ class Dijkstra:
         else:
             self._now.still += 1
         return self._now.still > self._config.stuck_frames
-
-    def _is_between(self, x: float, y: float, first: str, second: str) -> bool:
-        """Whether the robot already stands on the edge, so that going back to its beginning is in vain."""
-        (ax, ay), (bx, by) = self._xy(first), self._xy(second)
-        length = math.hypot(bx - ax, by - ay)
-        if length < 1e-6:
-            return False
-        along = ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length
-        aside = abs((x - ax) * (by - ay) - (y - ay) * (bx - ax)) / length
-        return 0.0 <= along <= length and aside <= _ON_EDGE_M
 
     def _xy(self, waypoint_id: str) -> Point:
         position = self._graph.waypoints[waypoint_id].position

@@ -31,6 +31,12 @@ class Config(PluginConfig):
         default="jpeg", description="colour images: jpeg (small) or lossless (PNG); depth is always lossless"
     )
     quality: int = Field(default=80, ge=1, le=95, description="JPEG quality")
+    copy_images: Path | None = Field(
+        default=None, description="a recording of the same frames, whose encoded images are copied"
+    )
+    layout: Literal["review", "scene", "graph", "dynamics", "language", "navigation"] = Field(
+        default="review", description="what the viewer shows when it opens the file"
+    )
     queue_size: int = Field(
         default=64, ge=1, le=4096, description="events that may wait for the writer before the mission waits"
     )
@@ -49,6 +55,7 @@ class RerunObserver:
         self._config = config
         self._log = context.log
         self._run_id = context.run_id
+        self._copied = None if config.copy_images is None else context.base_dir / config.copy_images
         self._path = Path(context.run_dir) / f"{context.run_id}.rrd"
         self._queue: queue.Queue[Event | None] = queue.Queue(config.queue_size)
         self._thread: threading.Thread | None = None
@@ -76,6 +83,8 @@ class RerunObserver:
             self._run_id,
             images=self._config.images,
             quality=self._config.quality,
+            layout=self._config.layout,
+            copied=self._copied,
         )
         self._thread = threading.Thread(target=self._work, args=(writer,), name="rerun-writer", daemon=True)
         self._thread.start()

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from dssmsg.errors import InputError
+from dssmsg.errors import InputError, PluginError
 from dssmsg.frame import Detection, Frame
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
+
+PLUGIN = "perception/recorded"
 
 
 class Config(PluginConfig):
@@ -38,14 +40,20 @@ class RecordedPerception:
         self._recording = Recording.open(newest(path) if path.is_dir() else path)
         if not self._recording.has_detections:
             raise InputError("holds no detections", file=self._recording.path, key="perception.recording")
+        self._key_frames = frozenset(self._recording.key_frames)
         self.feature_space: str | None = self._recording.facts["feature_space"]
 
     def detect(self, frame: Frame) -> Sequence[Detection]:
         """The detections recorded for this frame's index; none where perception did not run.
 
-        Raises ValueError if the frame has another size than the recorded masks.
+        Raises PluginError where perception failed on this frame, ValueError if the frame has another size
+        than the recorded masks.
         """
-        found = self._recording.detections(frame.index) or []
+        found = self._recording.detections(frame.index)
+        if found is None and frame.index in self._key_frames:
+            # What failed then has to fail again: no detections is not the same as none seen.
+            raise PluginError("failed on this frame when it was recorded", plugin=PLUGIN)
+        found = found or []
         for detection in found:
             if detection.mask.shape != frame.depth.shape:
                 raise ValueError(

@@ -79,6 +79,8 @@ class RecordedSource:
             scene=recorded["scene"],
             credits=tuple(recorded["credits"]),
             depth_noise_m=tuple(recorded["depth_noise_m"]),
+            # Recordings from before these were recorded: what the interface says of any robot.
+            accelerations=tuple(recorded.get("accelerations", (1.0, 3.0))),
             facts={**recorded["facts"], "parent": recording.facts["run_id"], "recorded_by": recorded["name"]},
         )
 
@@ -102,7 +104,7 @@ class RecordedSource:
             return None
         index = self._latest = self._pending.pop()
         self._moved = True
-        return self._recording.frame(index, with_truth=self._with_truth)
+        return self._recording.frame(index, with_truth=self._with_truth, lazy=True)
 
     def collisions(self) -> int:
         """What the recorded source had counted by the latest frame."""
