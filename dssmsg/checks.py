@@ -222,7 +222,8 @@ def check_findings(value: Any) -> tuple[Finding, ...]:
     findings = _sequence(value, Finding, "finding")
     for place, finding in enumerate(findings):
         if finding.layer not in LAYERS:
-            raise CheckFailed(f"finding {place}: expected a layer of {', '.join(LAYERS)}, got {finding.layer!r}")
+            known = ", ".join(LAYERS)
+            raise CheckFailed(f"finding {place}: expected a layer of {known}, got {finding.layer!r}")
         _expect_score(finding.confidence, f"finding {place}: confidence")
     return findings
 

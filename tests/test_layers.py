@@ -56,7 +56,8 @@ ALLOWED: dict[str, set[str]] = {
 }
 PLUGINS_MAY = VALUES | TOOLS | {"config", "hookspecs", "graph"}
 PLUGIN_LIBRARIES = {
-    "baselines", "llm", "models", "navigation", "onnx", "recogniser", "recording", "review", "sequences", "sim",
+    "baselines", "llm", "models", "navigation", "onnx", "recogniser", "recording", "review", "sequences",
+    "sim",
 }  # fmt: skip
 
 

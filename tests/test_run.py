@@ -60,9 +60,11 @@ def test_the_map_is_right(oracle_run):
 
 def test_two_processes_write_the_same_log(oracle_run, tmp_path):
     again = real_run(tmp_path, "perception.use=oracle", "mission.max_frames=60")
-    theirs, ours = (run.change_log.read_bytes() for run in (oracle_run, again))
-    assert len(ours) > 10_000
-    assert theirs.startswith(ours[: ours.rindex(b"\n", 0, -1)])
+    theirs, ours = (run.change_log.read_bytes().splitlines() for run in (oracle_run, again))
+    # The shorter run ended its visit with its last frame, 59; up to that the two did the same.
+    common = [line for line in ours if json.loads(line)["frame"] < 59]
+    assert len(common) > 100
+    assert theirs[: len(common)] == common
 
 
 def test_another_seed_gives_another_log(oracle_run, tmp_path):
