@@ -43,7 +43,7 @@ class Lifter:
     itself counted) define density clusters. Of these the largest is the thing, and so is, beyond the paper,
     any other of at least `part_share` of its size within `part_gap`, and no farther than it is large, of what
     is kept already: behind a chair a table shows in two parts, and keeping the larger alone makes two tables
-    of it once the parts have been the larger in turn (1.0 keeps the largest alone). A mask pixel beside a pixel
+    of it once the parts have been the larger in turn (1.0: the largest alone). A mask pixel beside a pixel
     outside the mask counts as rim, and is left out where the two depths differ by more than `step` plus
     `step_ratio` of the depth.
     """
