@@ -74,7 +74,7 @@ class Project:
             env=environment(env),
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=200,  # the first start of a fresh environment on a busy machine is slow
         )
         return Outcome(done.returncode, done.stdout, done.stderr)
 

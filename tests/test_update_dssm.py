@@ -237,3 +237,14 @@ def test_pieces_that_leave_together_are_one_thing():
     assert len(room.named("guitar")) == 2
     room.visit(ROOM)
     assert room.one("guitar").state == "disappeared"
+
+
+def test_what_has_a_verdict_in_a_frame_takes_no_piece_in_it():
+    """It may be gone, or be another object, once the frame's changes are applied."""
+    room = ChangingRoom()
+    room.visit(ROOM)
+    room.visit([*ROOM, BALL])
+    ball = room.one("ball").id
+    assert ball in room.update._come({})
+    assert ball in room.update._come({ball: "appeared"})
+    assert ball not in room.update._come({ball: "is object-1"})

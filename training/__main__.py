@@ -14,7 +14,6 @@ STAGES = (
     "masks2",
     "masks3",
     "masks4",
-    "masks5",
     "crops",
     "proposals",
     "tune",
@@ -45,8 +44,8 @@ def run(stage: str, given: argparse.Namespace) -> None:
     """One stage; what only it needs is imported here."""
     work: Path = given.work
     shards = work / "shards"
-    names = ("masks", "masks2", "masks3", "masks4", "masks5", "crops", "tuned")
-    first, second, third, fourth, masks, crops, tuned = (work / f"{name}.pt" for name in names)
+    names = ("masks", "masks2", "masks3", "masks4", "crops", "tuned")
+    first, second, third, masks, crops, tuned = (work / f"{name}.pt" for name in names)
     if stage == "render":
         from training.render import render
 
@@ -70,11 +69,7 @@ def run(stage: str, given: argparse.Namespace) -> None:
     elif stage == "masks4":
         from training import masks as mask_stage
 
-        mask_stage.train(shards, fourth, planned(mask_stage.FOURTH, given.steps), begin_with=third)
-    elif stage == "masks5":
-        from training import masks as mask_stage
-
-        mask_stage.train(shards, masks, planned(mask_stage.FIFTH, given.steps), begin_with=fourth)
+        mask_stage.train(shards, masks, planned(mask_stage.FOURTH, given.steps), begin_with=third)
     elif stage == "crops":
         from training import crops_train
 

@@ -67,10 +67,6 @@ THIRD = Plan(steps=600, until=500, rate=1.2e-3, seed=2, seeds=LIVED_IN_FROM, sma
 """The third round: the same from a lower rate."""
 FOURTH = Plan(steps=600, until=600, rate=1e-3, seed=3, seeds=10**6, small=1.5, everywhere=True, lived_in=0.6)
 """The fourth round: most views show rooms full of small things, which count in every part of the loss."""
-FIFTH = Plan(
-    steps=2000, until=2000, rate=1.2e-3, seed=4, seeds=10**6, small=1.5, everywhere=True, lived_in=0.6
-)
-"""The fifth round: the same, longer than all before, with every lived-in room."""
 
 
 def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -> None:

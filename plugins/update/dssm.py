@@ -256,7 +256,8 @@ class DssmUpdate:
             return set()
         seen = (self._graph.objects.get(object_id) for object_id in self._seen_this_visit)
         before = {node.id for node in seen if node is not None and node.state in (APPEARED, MOVED)}
-        return before | {object_id for object_id, verdict in verdicts.items() if verdict == APPEARED}
+        # What has a verdict in this frame may be gone, or be another object, once it is applied.
+        return before.difference(verdicts) | {object_id for object_id, verdict in verdicts.items() if verdict == APPEARED}
 
     def _exchanges(
         self, observed: Mapping[str, Observation], viewpoint_id: str | None, verdicts: dict[str, str]
