@@ -257,7 +257,8 @@ class DssmUpdate:
         seen = (self._graph.objects.get(object_id) for object_id in self._seen_this_visit)
         before = {node.id for node in seen if node is not None and node.state in (APPEARED, MOVED)}
         # What has a verdict in this frame may be gone, or be another object, once it is applied.
-        return before.difference(verdicts) | {object_id for object_id, verdict in verdicts.items() if verdict == APPEARED}
+        come = {object_id for object_id, verdict in verdicts.items() if verdict == APPEARED}
+        return before.difference(verdicts) | come
 
     def _exchanges(
         self, observed: Mapping[str, Observation], viewpoint_id: str | None, verdicts: dict[str, str]
