@@ -154,7 +154,12 @@ def test_a_recording_that_was_cut_off_is_replayed_as_far_as_it_got(
     den: Project, original: Path, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.rrd"
-    cut.write_bytes(original.read_bytes()[: original.stat().st_size // 2])
+    content = original.read_bytes()
+    for share in range(50, 100, 5):  # where the images lie in a finished file is not promised
+        cut.write_bytes(content[: len(content) * share // 100])
+        with Recording.open(cut) as short:
+            if short.frames_readable:
+                break
     done, _ = replay(den, cut)
     with Recording.open(cut) as short:
         assert 0 < done.json["frames"] == short.frames_readable
