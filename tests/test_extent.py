@@ -9,7 +9,7 @@ from test_association import World, rules
 
 from dssmsg.frame import Detection
 from dssmsg.graph.changes import ObjectReplaced
-from dssmsg.graph.extent import Extents, shrinks
+from dssmsg.graph.extent import Extents, outgrows, shrinks
 from dssmsg.lift import Lifter
 
 DESK = Thing("desk", (1.4, -0.6, 0.0), (2.0, 0.6, 0.5))
@@ -79,6 +79,36 @@ def test_a_thing_that_comes_into_view_bit_by_bit_grows_to_its_size():
     assert node.box_max[1] - node.box_min[1] > 1.1
 
 
+@pytest.mark.parametrize(("away", "trusted"), [(0.03, False), (0.7, True)])
+def test_what_two_frames_from_one_place_agree_on_may_be_one_mistake(away, trusted):
+    extents = Extents(0.5)
+    for y in (0.0, away):
+        frame = look([DESK, MUG], pose_at(0, y, 0, tilt=-0.25))
+        both = seen(frame, 1, 2).points_world
+        extents.vote("mug", both, both, [], frame, 0.025)
+    assert extents.confirmed("mug", both, elsewhere=False).mean() > 0.9
+    assert (extents.confirmed("mug", both, elsewhere=True).mean() > 0.9) == trusted
+
+
+@given(st.floats(0.01, 3.0), st.floats(0.0, 3.0))
+def test_a_box_outgrows_itself_by_a_share_and_by_metres(size, more):
+    box = np.zeros(3), np.full(3, size)
+    point = np.array([[size + more, 0, 0]], np.float32)
+    assert outgrows(*box, point) == (np.float32(size + more) > max(1.3 * size, size + 0.05))
+    assert not outgrows(*box, point[:0])
+
+
+def test_what_lies_beside_a_thing_is_known_before_a_mask_takes_it_in():
+    extents = Extents(0.5)
+    frame = views(1)[0]
+    desk, mug = seen(frame, 1, label="desk").points_world, seen(frame, 2).points_world
+    for _ in range(3):
+        extents.vote("mug", mug, mug, [], frame, 0.025)
+    beside = desk[np.linalg.norm(desk - mug.mean(axis=0), axis=1) < 0.15]
+    assert len(beside)
+    assert extents.belongs("mug", np.concatenate([mug, beside]))[len(mug) :].mean() < 0.3
+
+
 def test_the_other_half_of_a_thing_seen_in_two_pieces_is_no_outside():
     """A desk of which each frame shows two masks, left and right, stays whole."""
     whole = Thing("desk", (1.4, -0.6, 0.0), (2.0, 0.6, 0.5))
@@ -107,7 +137,7 @@ def test_joined_objects_are_not_cut_apart_by_votes_from_before():
     extents.join("desk", "mug")
     assert extents.belongs("desk", both).all()
     extents.forget_all_but(())
-    assert not extents.confirmed("desk", both).any()
+    assert not extents.confirmed("desk", both, elsewhere=False).any()
 
 
 def test_a_doubtful_mask_has_no_vote():

@@ -162,15 +162,15 @@ def test_what_stays_for_years_never_disappears_here():
     assert room.one("ball").state == "static"
 
 
-@pytest.mark.parametrize("min_sightings", [2, 100])
-def test_a_thing_not_believed_yet_is_borne_out_by_its_going(min_sightings):
-    room = ChangingRoom(score=0.2, min_sightings=min_sightings)
+@pytest.mark.parametrize(("min_sightings", "min_votes"), [(2, 0.2), (100, 0.2), (2, 9.0)])
+def test_a_thing_not_believed_yet_is_borne_out_by_its_going(min_sightings, min_votes):
+    room = ChangingRoom(score=0.2, min_sightings=min_sightings, min_votes=min_votes)
     room.visit([*ROOM, BALL], stands=STANDS[:1], headings=(20,))
     (ball,) = [n for n in room.graph.objects.values() if n.label == "ball"]
     assert ball.status == "tentative"
     room.visit(ROOM)
     after = room.graph.objects.get(ball.id)
-    if min_sightings == 2:
+    if (min_sightings, min_votes) == (2, 0.2):
         assert (after.status, after.state) == ("believed", "disappeared")
     else:
         assert after is None, "an early error, corrected"

@@ -14,13 +14,15 @@ STAGES = (
     "masks2",
     "masks3",
     "masks4",
+    "masks5",
+    "masks6",
     "crops",
     "proposals",
     "tune",
     "export",
     "calibrate",
 )
-SEEDS = (*range(540), *range(600, 800))
+SEEDS = (*range(540), *range(600, 1000))
 
 
 def main() -> None:
@@ -44,8 +46,8 @@ def run(stage: str, given: argparse.Namespace) -> None:
     """One stage; what only it needs is imported here."""
     work: Path = given.work
     shards = work / "shards"
-    names = ("masks", "masks2", "masks3", "masks4", "crops", "tuned")
-    first, second, third, masks, crops, tuned = (work / f"{name}.pt" for name in names)
+    names = ("masks", "masks2", "masks3", "masks4", "masks5", "masks6", "crops", "tuned")
+    first, second, third, fourth, fifth, masks, crops, tuned = (work / f"{name}.pt" for name in names)
     if stage == "render":
         from training.render import render
 
@@ -69,7 +71,15 @@ def run(stage: str, given: argparse.Namespace) -> None:
     elif stage == "masks4":
         from training import masks as mask_stage
 
-        mask_stage.train(shards, masks, planned(mask_stage.FOURTH, given.steps), begin_with=third)
+        mask_stage.train(shards, fourth, planned(mask_stage.FOURTH, given.steps), begin_with=third)
+    elif stage == "masks5":
+        from training import masks as mask_stage
+
+        mask_stage.train(shards, fifth, planned(mask_stage.FIFTH, given.steps), begin_with=fourth)
+    elif stage == "masks6":
+        from training import masks as mask_stage
+
+        mask_stage.train(shards, masks, planned(mask_stage.SIXTH, given.steps), begin_with=fifth)
     elif stage == "crops":
         from training import crops_train
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +67,10 @@ THIRD = Plan(steps=600, until=500, rate=1.2e-3, seed=2, seeds=LIVED_IN_FROM, sma
 """The third round: the same from a lower rate."""
 FOURTH = Plan(steps=600, until=600, rate=1e-3, seed=3, seeds=10**6, small=1.5, everywhere=True, lived_in=0.6)
 """The fourth round: most views show rooms full of small things, which count in every part of the loss."""
+FIFTH = replace(FOURTH, steps=2000, until=2000, rate=1.2e-3, seed=4)
+"""The fifth round: the same for longer, from a higher rate again."""
+SIXTH = replace(FIFTH, seed=5, lived_in=0.7)
+"""The sixth round: once more, with more of the rooms full of small things."""
 
 
 def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -> None:

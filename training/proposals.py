@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from dssmsg.recogniser.grouping import GroupingRule, candidates
 from dssmsg.recogniser.inputs import geometry_channels, half_geometry, normalised_rgb
@@ -17,6 +18,9 @@ from training.render import load, shards
 
 RIGHT_IOU, WRONG_IOU = 0.5, 0.3
 """From here on a mask is the thing; below, it is no thing of its own. Between the two nobody can say."""
+PART_SHARE = 0.15
+"""A thing that others hide in part shows in parts: one with this share of its pixels names it as well, as the
+back of a chair does behind its table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +72,24 @@ def name_of(mask: NDArray[np.bool_], ids: NDArray[np.uint8], label: NDArray[np.i
     counts = np.bincount(ids[mask], minlength=len(label))
     number = int(np.argmax(counts[1:])) + 1 if len(counts) > 1 else 0
     whole = ids == number
-    union = int(mask.sum() + whole.sum() - counts[number]) if number else 1
-    iou = counts[number] / union if number else 0.0
-    if iou >= RIGHT_IOU:
+    if not number:
+        return len(all_labels())
+    iou = _iou(mask, whole)
+    if iou >= RIGHT_IOU or _best_part(mask, whole) >= RIGHT_IOU:
         return int(label[number])
     return len(all_labels()) if iou < WRONG_IOU else None
+
+
+def _iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    return float((one & other).sum() / max((one | other).sum(), 1))
+
+
+def _best_part(mask: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
+    """The best IoU of a mask (H, W) with a part of a thing that is apart from its others in the image."""
+    parts, _count = ndimage.label(whole)
+    sizes = np.bincount(parts.ravel())
+    large = np.flatnonzero(sizes[1:] >= PART_SHARE * whole.sum()) + 1
+    return max((_iou(mask, parts == part) for part in large), default=0.0)
 
 
 def load_proposals(path: Path) -> Proposals:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dssmsg.errors import InputError
 from dssmsg.recogniser.shelf import Shelf, all_labels, seed_range
 from dssmsg.recogniser.views import View, home_views, lived_in_views, room_views
 from dssmsg.sim.furniture import FurnitureLibrary
@@ -55,13 +56,17 @@ def render(folder: Path, seeds: Iterable[int], *, part: int = 0, parts: int = 1)
         kinds = LIVED_IN if seed >= LIVED_IN_FROM else CLUTTERED if seed >= CLUTTERED_FROM else KINDS
         kind = kinds[seed % len(kinds)]
         assets = "embedded" if kind.startswith("embedded") else "real"
-        if "lived-in" in kind:
-            home = library_of(assets) if kind.endswith("home") else None
-            views = list(lived_in_views(shelf_of(assets), seed, LIVED_IN_VIEWS, home))
-        elif kind.endswith("room"):
-            views = list(room_views(shelf_of(assets), seed, VIEWS_A_SEED, clutter="cluttered" in kind))
-        else:
-            views = list(home_views(library_of(assets), seed, VIEWS_A_SEED))
+        try:
+            if "lived-in" in kind:
+                home = library_of(assets) if kind.endswith("home") else None
+                views = list(lived_in_views(shelf_of(assets), seed, LIVED_IN_VIEWS, home))
+            elif kind.endswith("room"):
+                views = list(room_views(shelf_of(assets), seed, VIEWS_A_SEED, clutter="cluttered" in kind))
+            else:
+                views = list(home_views(library_of(assets), seed, VIEWS_A_SEED))
+        except InputError as error:  # a few seeds give no home
+            print(f"seed {seed} left out: {error}", flush=True)
+            continue
         if views:
             _write(path, views)
             made += 1

@@ -9,32 +9,48 @@ mostly outside is not part of the object. Beyond the paper, which keeps every po
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from dssmsg.frame import Float32Array, Frame, MaskArray
-from dssmsg.geometry import Sight, sight_of_points
+from dssmsg.frame import Float32Array, FloatArray, Frame, MaskArray
+from dssmsg.geometry import Sight, back_project_world, grow_box, points_in_box, sight_of_points
 from dssmsg.graph.voxels import VOXEL_M, KeyArray, voxel_keys
 
 MIN_OUTSIDE = 2
 """Frames that must have shown a voxel outside before it is refused."""
 MIN_INSIDE = 2
 """Frames that must have shown a voxel inside before it counts as certain."""
+STATION_M = 0.5
+"""Frames taken from nearer to each other than this are one look: they share their mistakes, metres."""
 MIN_SHRINK_M = 0.05
 """A cloud is cut where its box becomes this much shorter on an axis, metres; what changes less stays."""
+SURROUNDINGS_M = 0.2
+"""So far about an object a frame votes on what it shows: what is beside a mug was never part of it, metres."""
+OUTGROWN, MIN_OUTGROWN_M = 1.3, 0.05
+"""What becomes this many times and metres longer has grown more than one look from one place is trusted with."""
 _STEPS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) * VOXEL_M
 
 
 @dataclass(frozen=True, slots=True)
 class _Votes:
-    """Ascending voxel keys (N,), and how many frames showed each inside and outside."""
+    """Ascending voxel keys (N,), how many frames showed each inside and outside, and the stations that showed
+    it inside, as the lowest and the highest number (-1: none)."""
 
     keys: KeyArray
     inside: NDArray[np.int32]
     outside: NDArray[np.int32]
+    first: NDArray[np.int32]
+    last: NDArray[np.int32]
+
+    @classmethod
+    def of_frame(cls, keys: KeyArray, inside: bool, station: int) -> _Votes:
+        """One frame's votes on ascending voxels."""
+        one, none = np.ones(len(keys), np.int32), np.zeros(len(keys), np.int32)
+        at = np.full(len(keys), station if inside else -1, np.int32)
+        return cls(keys, one if inside else none, none if inside else one, at, at)
 
     @classmethod
     def counted(cls, parts: Sequence[_Votes]) -> _Votes:
@@ -43,7 +59,12 @@ class _Votes:
         inside, outside = (np.zeros(len(keys), dtype=np.int32) for _ in range(2))
         np.add.at(inside, place, np.concatenate([part.inside for part in parts]))
         np.add.at(outside, place, np.concatenate([part.outside for part in parts]))
-        return cls(keys, inside, outside)
+        none = np.iinfo(np.int32).max
+        first, last = np.full(len(keys), none, np.int32), np.full(len(keys), -1, np.int32)
+        stations = np.concatenate([part.first for part in parts])
+        np.minimum.at(first, place, np.where(stations < 0, none, stations).astype(np.int32))
+        np.maximum.at(last, place, np.concatenate([part.last for part in parts]))
+        return cls(keys, inside, outside, np.where(first == none, -1, first).astype(np.int32), last)
 
 
 class Extents:
@@ -52,6 +73,8 @@ class Extents:
     def __init__(self, share: float) -> None:
         self._share = share
         self._votes: dict[str, _Votes] = {}
+        self._stations: list[FloatArray] = []
+        self._scene: tuple[Frame, Float32Array] | None = None
 
     def vote(
         self,
@@ -69,16 +92,15 @@ class Extents:
         """
         sight = sight_of_points(cloud, frame.depth, frame.camera, frame.world_from_camera, tolerance)
         shown = cloud[sight == Sight.ON_SURFACE]
-        outside = shown[~_near(shown, seen, tolerance)]
+        around = np.concatenate([shown, self._around(frame, cloud, seen)])
+        outside = around[~_near(around, seen, tolerance)]
         for other in others:
             outside = outside[~_near(outside, other, tolerance)]
         out_keys = np.unique(voxel_keys(outside))
         in_keys = np.unique(np.concatenate([voxel_keys(shown), voxel_keys(seen)]))
         in_keys = in_keys[~np.isin(in_keys, out_keys)]
-        parts = [
-            _Votes(in_keys, np.ones(len(in_keys), np.int32), np.zeros(len(in_keys), np.int32)),
-            _Votes(out_keys, np.zeros(len(out_keys), np.int32), np.ones(len(out_keys), np.int32)),
-        ]
+        station = self._station(frame)
+        parts = [_Votes.of_frame(in_keys, True, station), _Votes.of_frame(out_keys, False, station)]
         if object_id in self._votes:
             parts.append(self._votes[object_id])
         self._votes[object_id] = _Votes.counted(parts)
@@ -107,12 +129,36 @@ class Extents:
         fits[~decided] = sure[decided][nearest]
         return fits
 
-    def confirmed(self, object_id: str, points: Float32Array) -> MaskArray:
-        """(N,) bool: which points (N, 3) lie in a voxel that another frame had inside, or next to one."""
+    def _around(self, frame: Frame, cloud: Float32Array, seen: Float32Array) -> Float32Array:
+        """(N, 3) what the frame shows in and about an object's box."""
+        if self._scene is None or self._scene[0] is not frame:
+            readable = np.zeros(frame.depth.shape, dtype=np.bool_)
+            readable[::2, ::2] = frame.depth[::2, ::2] > 0
+            everything = back_project_world(frame.depth, frame.camera, frame.world_from_camera, readable)
+            self._scene = (frame, everything.astype(np.float32))
+        points = self._scene[1]
+        low = np.minimum(cloud.min(axis=0), seen.min(axis=0))
+        high = np.maximum(cloud.max(axis=0), seen.max(axis=0))
+        return points[points_in_box(points, *grow_box(low, high, SURROUNDINGS_M))]
+
+    def _station(self, frame: Frame) -> int:
+        """The number of the place that a frame was taken from."""
+        here = frame.world_from_camera[:3, 3]
+        for number, there in enumerate(self._stations):
+            if np.linalg.norm(here - there) < STATION_M:
+                return number
+        self._stations.append(here)
+        return len(self._stations) - 1
+
+    def confirmed(self, object_id: str, points: Float32Array, *, elsewhere: bool) -> MaskArray:
+        """(N,) bool: which points (N, 3) lie in a voxel that two frames had inside, or next to one; with
+        `elsewhere` two frames from different stations."""
         votes = self._votes.get(object_id)
         if votes is None:
             return np.zeros(len(points), dtype=np.bool_)
-        known = votes.keys[votes.inside > 1]
+        agreed = votes.first < votes.last if elsewhere else votes.inside > 1
+        agreed &= votes.inside >= self._share * (votes.inside + votes.outside)
+        known = votes.keys[agreed]
         near: MaskArray = np.zeros(len(points), dtype=np.bool_)
         for step in _STEPS:
             near |= np.isin(voxel_keys(points + step), known)
@@ -139,10 +185,19 @@ def shrinks(cloud: Float32Array, belongs: MaskArray) -> bool:
     return bool((np.ptp(cloud, axis=0) - np.ptp(rest, axis=0) >= MIN_SHRINK_M).any())
 
 
+def outgrows(box_min: FloatArray, box_max: FloatArray, points: Float32Array) -> bool:
+    """Whether points (N, 3) make a box much longer than it is."""
+    if not len(points):
+        return False
+    before = float((box_max - box_min).max())
+    after = np.maximum(box_max, points.max(axis=0)) - np.minimum(box_min, points.min(axis=0))
+    return float(after.max()) > max(OUTGROWN * before, before + MIN_OUTGROWN_M)
+
+
 def _cleared(votes: _Votes, other: _Votes) -> _Votes:
     """Without the votes against voxels that were inside the other one."""
     known = np.isin(votes.keys, other.keys[other.inside > 0])
-    return _Votes(votes.keys, votes.inside, np.where(known, 0, votes.outside).astype(np.int32))
+    return replace(votes, outside=np.where(known, 0, votes.outside).astype(np.int32))
 
 
 def _near(points: Float32Array, cloud: Float32Array, tolerance: float) -> MaskArray:

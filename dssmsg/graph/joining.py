@@ -8,11 +8,15 @@ from itertools import combinations
 
 import numpy as np
 
+from dssmsg.frame import FloatArray
 from dssmsg.geometry import grow_box, points_in_box
 from dssmsg.graph.ids import id_order
-from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
+from dssmsg.graph.nodes import BELIEVED, DISAPPEARED, ObjectNode
 from dssmsg.graph.scoring import neighbour_share
 from dssmsg.graph.view import GraphView
+
+_KNOWN_OTHERS, _OUTSIZED = 1, 1.4
+"""So many others of a label tell how wide such things are, and so many times as wide is too wide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +55,36 @@ def contained_pieces(
     return _consistent(graph, found, apart)
 
 
+def fragments(
+    graph: GraphView, touched: Iterable[str], joined: Iterable[Join], min_share: float, tolerance: float
+) -> list[Join]:
+    """Joins of doubtful objects with the believed one of their label that holds all but a little of them.
+
+    Also where one frame saw both: it saw the neck of a guitar beside its body. `joined` are joins made just
+    before, that the graph does not show yet: what is in them is left alone.
+    """
+    busy = {name for join in joined for name in (join.object_id, join.absorbed_id)}
+    found: dict[str, Join] = {}
+    for first, second in sorted(_near_pairs(graph, touched, tolerance)):
+        a, b = graph.objects[first], graph.objects[second]
+        part, whole = (a, b) if b.status == BELIEVED else (b, a)
+        told = part.status != BELIEVED and whole.status == BELIEVED and part.label == whole.label
+        if not told or DISAPPEARED in (a.state, b.state) or {first, second} & busy:
+            continue
+        share = neighbour_share(part.points, graph.tree(whole.id), tolerance)
+        best = found.get(part.id)
+        if share >= min_share and (best is None or share > best.value):
+            keep, lose = sorted((part.id, whole.id), key=id_order)
+            found[part.id] = Join(keep, lose, share, min_share)
+    once: set[str] = set()
+    joins = []
+    for join in sorted(found.values(), key=lambda join: (-join.value, id_order(join.object_id))):
+        if not {join.object_id, join.absorbed_id} & once:
+            once |= {join.object_id, join.absorbed_id}
+            joins.append(join)
+    return joins
+
+
 def aligned_pieces(
     graph: GraphView,
     touched: Iterable[str],
@@ -67,7 +101,8 @@ def aligned_pieces(
     wall's two sides, do not fit); along the other axes half of the shorter one must lie beside the other.
     Pieces whose label is in `unnamed` (those of a class-agnostic perception) have no label in common and
     never fit. `joined` are joins made just before, that the graph does not show yet: these are added to them.
-    The same two never join that `contained_pieces` keeps apart.
+    The same two never join that `contained_pieces` keeps apart, nor two that would be too large for their kind,
+    see `_outsized`: two chairs side by side line up as well as the halves of a wardrobe.
     """
     nameless = frozenset(unnamed)
     found = []
@@ -81,7 +116,7 @@ def aligned_pieces(
         beside[axis] = True
         joint = float(max(a.box_max[axis], b.box_max[axis]) - min(a.box_min[axis], b.box_min[axis]))
         limit = min(max_gap, max_gap_share * joint)
-        if not beside.all() or -overlaps[axis] > limit:
+        if not beside.all() or -overlaps[axis] > limit or _outsized(graph, a, b):
             continue
         small, large = (a, b) if len(a.points) <= len(b.points) else (b, a)
         gaps, _ = graph.tree(large.id).query(small.points, distance_upper_bound=limit)
@@ -91,6 +126,22 @@ def aligned_pieces(
     found.sort(key=lambda join: join.value)
     before = list(joined)
     return _consistent(graph, [*before, *found], ())[len(before) :]
+
+
+def _outsized(graph: GraphView, a: ObjectNode, b: ObjectNode) -> bool:
+    """Whether the two together are much wider than all others of their label; False where few are known."""
+    others = [
+        _width(other.box_min, other.box_max)
+        for other in graph.objects.values()
+        if other.label == a.label and other.status == BELIEVED and other.id not in (a.id, b.id)
+    ]
+    joint = _width(np.minimum(a.box_min, b.box_min), np.maximum(a.box_max, b.box_max))
+    return len(others) >= _KNOWN_OTHERS and joint > _OUTSIZED * max(others)
+
+
+def _width(box_min: FloatArray, box_max: FloatArray) -> float:
+    """The longer side of a box on the floor, metres."""
+    return float((box_max - box_min)[:2].max())
 
 
 def _candidates(

@@ -4,7 +4,8 @@ One step, one method: candidates by spatial index, score every pair, assign one-
 assignment into changes, now and then join what was split, and say which objects are believed. The scores
 themselves are in `dssmsg.graph.scoring`, the merge pass is in `dssmsg.graph.joining`.
 
-It keeps next to nothing of its own: which objects were touched since the last merge pass.
+Of its own it keeps which objects were touched since the last merge pass, and the frames' votes on what belongs
+to an object (`dssmsg.graph.extent`).
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ from dssmsg.graph.changes import (
     ObjectsJoined,
     Score,
 )
-from dssmsg.graph.extent import Extents, shrinks
+from dssmsg.graph.extent import Extents, outgrows, shrinks
 from dssmsg.graph.fusion import appended, counted
 from dssmsg.graph.ids import id_order
-from dssmsg.graph.joining import Join, aligned_pieces, contained_pieces
+from dssmsg.graph.joining import Join, aligned_pieces, contained_pieces, fragments
 from dssmsg.graph.nodes import BELIEVED, ObjectNode
 from dssmsg.graph.observed import added, merged
 from dssmsg.graph.scoring import (
@@ -97,6 +98,9 @@ class DssmConfig(PluginConfig):
     )
     join_tolerance: float = Field(
         0.05, gt=0, description="Metres within which a point is on the other object, in the merge pass."
+    )
+    join_fragment: float = Field(
+        0.9, gt=0, le=1, description="Share of a doubtful object in a believed one that makes it part of it."
     )
     join_gap: float = Field(
         0.35, ge=0, description="At a visit's end aligned pieces this far apart join, metres; 0 turns it off."
@@ -249,7 +253,13 @@ class DssmAssociation:
         grows = not believed or observation.score >= self._config.grow_min_score
         novel = np.full(len(observation.points_world), grows or self._config.paper_exact)
         if believed and self._extents is not None:
-            novel &= self._extents.confirmed(object_id, observation.points_world)
+            points = observation.points_world
+            novel &= self._extents.confirmed(object_id, points, elsewhere=False)
+            node = self._graph.objects[pair.object_id]
+            if outgrows(node.box_min, node.box_max, points[novel]):
+                novel &= self._extents.confirmed(object_id, points, elsewhere=True)
+        elif self._extents is not None:
+            novel &= self._extents.belongs(object_id, observation.points_world)
         for part in dict.fromkeys(parts):
             novel &= ~self._graph.known_voxels(part, observation.points_world)
         cause = Cause(PLUGIN, "merge")
@@ -313,7 +323,10 @@ class DssmAssociation:
         aligned = aligned_pieces(
             self._graph, visited, contained, self._unnamed, config.join_gap, config.join_gap_share
         )
-        return [*joins, *(_joined(join, "join_aligned", "gap") for join in aligned)]
+        before = [*contained, *aligned]
+        parts = fragments(self._graph, visited, before, config.join_fragment, config.join_tolerance)
+        joins += [_joined(join, "join_aligned", "gap") for join in aligned]
+        return [*joins, *(_joined(join, "join_fragment", "containment") for join in parts)]
 
     def _after(self, joins: Sequence[ObjectsJoined]) -> tuple[dict[str, str], dict[str, _Standing]]:
         """Where each absorbed object ends up, and the standings of those that absorbed some."""

@@ -65,6 +65,9 @@ class DssmConfig(PluginConfig):
     min_sightings: int = Field(
         2, ge=1, description="Detections after which a verdict may be given on a thing not believed yet."
     )
+    min_votes: float = Field(
+        0.7, ge=0, description="Summed scores of its label that such a verdict takes as well."
+    )
     exchanged_below: float = Field(
         0.35, ge=0, le=1, description="s_rgb in place below which it is another one of its kind; 0: never."
     )
@@ -203,7 +206,8 @@ class DssmUpdate:
         """
         if node.status == BELIEVED:
             return True
-        agreed = node.votes[node.label] >= 0.5 * sum(node.votes.values())
+        votes = node.votes[node.label]
+        agreed = votes >= max(self._config.min_votes, 0.5 * sum(node.votes.values()))
         enough = node.observations >= self._config.min_sightings
         return enough and agreed and not self._config.paper_exact
 
