@@ -33,6 +33,7 @@ from dssmsg.recording.writer import RecordingWriter
 
 _PERIOD = 60  # frames until the synthetic robot is back where it was
 _WINDOW = 8
+_EPISODE_FRAMES = 600
 _FEATURE_LENGTH = 512
 _FLUSH_FRAMES = 25  # a second of a mission's wall time
 
@@ -69,7 +70,7 @@ class HourRun(SyntheticRun):
                 ahead = self._ahead(index)
         if ahead:
             yield self._window(index, ahead)
-        if index % 600 == 599:
+        if index % _EPISODE_FRAMES == _EPISODE_FRAMES - 1:
             yield from self._episode(index)
 
     @cached_property
@@ -103,7 +104,7 @@ class HourRun(SyntheticRun):
         )
 
     def _episode(self, index: int) -> Iterator[ev.Event]:
-        number, now = index // 600, index * 0.2
+        number, now = index // _EPISODE_FRAMES, index * 0.2
         goal = f"the lamp beside the sofa, {number}"
         yield ev.LlmCalled("target_graph", "lexicon", index, now, goal, "{}", f"{number:032x}", True)
         candidates = tuple(
@@ -168,6 +169,7 @@ def commands(path: Path, object_id: str, frames: int) -> dict[str, list[str]]:
     return {
         "inspect": ["inspect", name, "--json"],
         "explain --object": ["explain", name, "--object", object_id, "--json"],
+        "explain --episode": ["explain", name, "--episode", str(frames // _EPISODE_FRAMES - 1), "--json"],
         "query": ["query", name, "the lamp beside the sofa", "--json"],
         "export": ["export", name],
         "diff with itself": ["diff", name, name, "--json"],

@@ -42,6 +42,7 @@ from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
 from dssmsg.mission.pipeline import Pipeline, Plugins
 from dssmsg.mission.run import run_mission
 from dssmsg.mission.topology import TopologyKeeper
+from dssmsg.navigation.grid import GridOptions, RollingGrid
 
 MAX_GROWTH = 1.3
 KEY_FRAMES = 100
@@ -133,7 +134,7 @@ class Memory:
             KeyFrameSelector(KeyFrameRule()),
             guard,
             ObserverBus([("times", self.times)], guard.watching),
-            TopologyKeeper(self.graph, contexts.ids, info.depth_noise_m),
+            TopologyKeeper(self.graph, contexts.ids, RollingGrid(GridOptions(noise=info.depth_noise_m))),
         )
         self.index = 0
         self.visits = 0

@@ -171,6 +171,9 @@ class Story(ReviewedRecording):
         labels = self.found.get(index)
         return None if labels is None else {"labels": labels, "scores": [0.9] * len(labels)}
 
+    def detected_names(self):
+        return {index: [(label, 0.9) for label in self.found[index]] for index in sorted(self.found)}
+
     def detections(self, index):
         labels = self.found.get(index)
         return None if labels is None else [_detection(place, label) for place, label in enumerate(labels)]

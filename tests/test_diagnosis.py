@@ -28,18 +28,18 @@ from dssmsg.review.episode_map import MapHistory
 MINE = """
 from dssmsg.hookspecs import PluginConfig, hookimpl
 from dssmsg.interfaces.diagnosis import Finding
+from dssmsg.review.episode_rule import EpisodeRule
 
-class Mine:
-    def __init__(self, config, context):
-        pass
+class Config(PluginConfig):
+    layer: str = "control"
 
-    def diagnose(self, recording, episode):
-        case = recording.case(episode)
-        return [Finding("control", case.last, 0.99, f"a stranger's rule on {case.goal}")]
+class Mine(EpisodeRule[Config]):
+    def findings(self, case):
+        yield Finding(self.config.layer, case.last, 0.99, f"a stranger's rule on {case.goal}")
 
 @hookimpl
 def register_diagnosis(register):
-    register("mine", Mine)
+    register("mine", Mine, config=Config)
 """
 
 
@@ -109,6 +109,13 @@ def test_an_episode_that_ended_well_is_doubted_only_by_the_very_sure():
     assert diagnose(Story(), 0, [("a", Says(finding(confidence=0.7)))]).verdict == NO_FAULT
     assert diagnose(Story(), 0, [("a", Says(finding(confidence=0.9)))]).verdict == FAULT
     assert diagnose(Story().with_truth(), 0, [("a", Says(finding(confidence=0.9)))]).verdict == NO_FAULT
+
+
+def test_what_touched_something_went_wrong():
+    story = Story().with_truth()
+    story.collisions = lambda index: int(index >= 20)
+    told = diagnose(story, 0, [("a", Says(finding(confidence=0.7)))])
+    assert (told.verdict, told.note) == (FAULT, "the robot touched something at frame 20")
 
 
 def test_a_rule_that_fails_does_no_harm():
@@ -222,6 +229,17 @@ def test_a_strangers_rule_in_a_folder(missions, tmp_path):
     told = folder.run("explain", str(missions["wrong target graph"]), "--episode", "0", "--json").json
     assert told["findings"][0]["rule"] == "mine"
     assert told["layer"] == "control"
+
+
+def test_a_strangers_rule_has_options(missions, tmp_path):
+    files = {
+        "rules/mine.py": MINE,
+        "dssmsg.yaml": "plugins: [rules]\ndiagnosis: [{use: mine, layer: update}]\n",
+    }
+    told = project(tmp_path, files).run(
+        "explain", str(missions["wrong target graph"]), "--episode", "0", "--json"
+    )
+    assert [(one["rule"], one["layer"]) for one in told.json["findings"]] == [("mine", "update")]
 
 
 def test_rules_can_be_chosen(missions, tmp_path):

@@ -24,7 +24,7 @@ RULES = {
     "association": association.AssociationRule(association.Config()),
     "depth": depth.DepthRule(depth.Config()),
     "detection": detection.DetectionRule(detection.Config()),
-    "language": language.LanguageRule(language.Config(), None),
+    "language": language.LanguageRule(language.Config()),
     "matching": matching.MatchingRule(matching.Config()),
     "motion": motion.MotionRule(motion.Config()),
     "pose": pose.PoseRule(pose.Config()),
@@ -97,6 +97,47 @@ def test_detections_that_never_became_one_object(story):
     (found,) = say("association", story)
     assert (found.layer, found.frame) == ("association", 1)
     assert "3 detections of a sofa became 3 objects" in found.summary
+
+
+def without_the_sofa():
+    """A story in whose map the sofa is not."""
+    story = Story()
+    story.rows = [row for row in story.rows if "object-1" not in (row.get("object_id"), row.get("target"))]
+    return story
+
+
+def test_two_pieces_in_one_place_are_enough():
+    story = without_the_sofa()
+    story.rows += [sighting(f"object-{n}", "sofa", n, 0, SOFA[1], first=True) for n in (5, 6)]
+    (found,) = say("association", story)
+    assert 0.55 < found.confidence < 0.85
+    assert "2 detections of a sofa became 2 objects" in found.summary
+
+
+def test_two_that_were_seen_once_each_are_no_pieces():
+    story = without_the_sofa()
+    story.rows += [
+        sighting("object-5", "sofa", 5, 0, SOFA[1], first=True),
+        sighting("object-6", "sofa", 6, 0, (9.0, 9.0, 0.0, 9.5, 9.5, 0.8), first=True),
+    ]
+    assert not say("association", story)
+
+
+def test_one_that_can_be_found_does_not_excuse_a_heap_of_pieces(story):
+    story.rows += [sighting(f"object-{n}", "sofa", n, 0, SOFA[1], first=True) for n in range(4, 11)]
+    (found,) = say("association", story)
+    assert "10 detections of a sofa became 8 objects" in found.summary
+
+
+@pytest.mark.parametrize("truth", [False, True])
+def test_one_detection_that_truly_was_the_target_and_went_elsewhere(truth):
+    story = without_the_sofa()
+    story.rows.append(sighting("object-2", "sofa", 3, 0, SOFA[1]))
+    told = [
+        (found.basis, found.confidence)
+        for found in say("association", story.with_truth() if truth else story)
+    ]
+    assert told == ([("truth", 0.8)] if truth else [])
 
 
 def test_detections_that_were_put_into_something_else(story):
@@ -235,6 +276,17 @@ def test_a_way_to_where_no_candidate_is(story):
     assert [found.layer for found in say("route", story)] == ["planner"]
 
 
+def test_no_way_at_all_to_where_no_candidate_is(story):
+    """It stays where it is and looks along another viewpoint than the best candidate's."""
+    story.drive = [
+        step(SURVEY, "look", "along viewpoint-1.1"),
+        step(LAST, "missing", "not from viewpoint-1.1"),
+    ]
+    story.poses_xy = dict.fromkeys(story.indices, (0.0, 0.0, 0.0))
+    (found,) = say("route", story.spoilt())
+    assert "the way leads to waypoint-1, though free edges lead to waypoint-2" in found.summary
+
+
 def test_a_look_from_elsewhere(story):
     story.poses_xy |= dict.fromkeys((28, 29), (0.5, 0.0, 0.0))
     (found,) = say("route", story)
@@ -259,6 +311,18 @@ def test_turning_too_little(story):
     assert "turning" in found.summary
 
 
+def test_short_turns_with_a_lag_are_done_in_full(story):
+    """Each turn begins a period late and ends one after the last command."""
+    asked = {i: 0.6 if i % 4 in (0, 1) else 0.0 for i in story.indices}
+    story.commands = {i: Command(angular=turn) for i, turn in asked.items()}
+    heading, told = 0.0, {}
+    for i in story.indices:
+        heading += 0.2 * asked.get(i - 1, 0.0) if i > SURVEY else 0.0
+        told[i] = (0.0, 0.0, heading)
+    story.poses_xy = told
+    assert not say("motion", story)
+
+
 def test_veering_off(story):
     story.poses_xy = {i: (x, y, 0.08 * max(0, i - SURVEY)) for i, (x, y, _) in story.poses_xy.items()}
     assert any("beside what it was told" in found.summary for found in say("motion", story))
@@ -269,6 +333,30 @@ def test_a_pose_that_jumps_is_not_the_motors_doing(story):
     (found,) = say("pose", story)
     assert (found.layer, found.frame) == ("environment", 20)
     assert not say("motion", story)
+
+
+def standing(story, step_m, *, first=20):
+    """The story's robot is to stand from a frame on, and its pose goes on by so much a period."""
+    story.commands |= {i: Command() for i in range(first, LAST + 1)}
+    x, y, heading = story.poses_xy[first]
+    story.poses_xy |= {i: (x + step_m * (i - first), y, heading) for i in range(first, LAST + 1)}
+    return story
+
+
+def test_a_pose_that_travels_while_the_wheels_stand(story):
+    (found,) = say("pose", standing(story, 0.03))
+    assert (found.layer, found.basis) == ("environment", "recording")
+    assert 20 < found.frame < 24
+    assert found.decision.value == pytest.approx(0.03)
+    assert found.confidence > max((one.confidence for one in say("motion", story)), default=0.0)
+
+
+def test_noise_of_a_pose_goes_nowhere(story):
+    standing(story, 0.0)
+    for i in range(20, LAST + 1):
+        x, y, heading = story.poses_xy[i]
+        story.poses_xy[i] = (x + 0.02 * (-1) ** i, y, heading)
+    assert not say("pose", story)
 
 
 def test_a_steady_pose_says_nothing(story):
@@ -297,6 +385,24 @@ def test_an_obstacle_is_looked_up_in_the_depth_images(story, depth_m, layer):
     story.frame = _floor_and(story, depth_m)
     (found,) = say("way", story.spoilt(reason="blocked"))
     assert found.layer == layer
+
+
+def test_an_obstacle_that_sends_the_robot_to_another_place(story):
+    story.poses_xy = dict.fromkeys(story.indices, (3.0, 0.0, 0.0))
+    story.drive = [
+        step(SURVEY, "replan", "something at 5.00 0.00 on the way to waypoint-2"),
+        step(LAST, "look", "along viewpoint-1.1"),
+    ]
+    story.frame = _floor_and(story, 2.0)
+    (found,) = say("way", story.spoilt())
+    assert (found.layer, found.frame) == ("environment", SURVEY)
+
+
+def test_an_obstacle_on_the_way_to_where_it_got_is_no_cause(story):
+    story.poses_xy = dict.fromkeys(story.indices, (3.0, 0.0, 0.0))
+    story.drive.insert(1, step(SURVEY, "replan", "something at 5.00 0.00 on the way to waypoint-2"))
+    story.frame = _floor_and(story, 2.0)
+    assert not say("way", story.spoilt())
 
 
 def _floor_and(story, distance):

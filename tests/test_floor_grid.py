@@ -11,9 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_navigation import Robot, wall
 
+from dssmsg.graph.outlines import outline
 from dssmsg.navigation.astar import cheapest_way
 from dssmsg.navigation.detour import find_detour, is_clear
 from dssmsg.navigation.grid import RollingGrid
+from dssmsg.navigation.seen_floor import FreeWayOptions, SeenFloor
 
 
 def look(grid, robot, times=2):
@@ -132,3 +134,107 @@ def test_a_detour_does_not_rejoin_before_what_stands_behind_a_narrow_place():
     assert detour is not None
     assert detour.leg == 1
     assert is_clear(grid, (0.0, 0.0), [*detour.corners, way[1]], 0.18)
+
+
+def test_what_was_touched_stays_whatever_is_seen_and_wherever_the_plan_goes():
+    robot = Robot(0.0, 0.0)
+    robot.tilt = -0.35
+    grid = look(RollingGrid(), robot, 3)
+    assert grid.corridor((0.5, 0.0), (1.5, 0.0), 0.15).obstacle is None
+    grid.touch([(1.0, 0.0)])
+    assert grid.corridor((0.5, 0.0), (1.5, 0.0), 0.15).obstacle == pytest.approx((1.0, 0.0), abs=0.05)
+    look(grid, robot, 8)
+    robot.x = 20.0
+    look(grid, robot)
+    robot.x = 0.0
+    look(grid, robot, 3)
+    assert grid.corridor((0.5, 0.0), (1.5, 0.0), 0.15).obstacle is not None
+    grid.forget()
+    look(grid, robot, 3)
+    assert grid.corridor((0.5, 0.0), (1.5, 0.0), 0.15).obstacle is None
+
+
+@given(
+    turn=st.floats(-math.pi, math.pi),
+    sides=st.tuples(st.floats(0.1, 2.0), st.floats(0.1, 2.0)),
+    shift=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
+)
+def test_the_outline_of_a_turned_rectangle_is_the_rectangle(turn, sides, shift):
+    rng = np.random.default_rng(0)
+    local = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], *rng.uniform(-1, 1, (50, 2))]) * np.array(sides) / 2
+    cos, sin = math.cos(turn), math.sin(turn)
+    points = local @ np.array([[cos, sin], [-sin, cos]]) + shift
+    corners = outline(points)
+    lengths = [math.dist(corners[i], corners[(i + 1) % 4]) for i in range(4)]
+    assert sorted(lengths) == pytest.approx(sorted([*sides, *sides]), abs=1e-6)
+    assert all(min(math.dist(c, p) for p in points[:4]) < 1e-6 for c in corners)
+
+
+def test_outlines_of_few_points_have_no_width():
+    assert outline(np.array([[1.0, 2.0, 0.3]])).tolist() == [[1.0, 2.0]] * 4
+    line = outline(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]))
+    assert sorted(map(tuple, np.round(line, 9).tolist()))[::3] == [(0.0, 0.0), (2.0, 2.0)]
+    with pytest.raises(ValueError, match="at least one point"):
+        outline(np.zeros((0, 2)))
+
+
+def test_outlines_are_kept_off_only_where_that_is_asked_for():
+    robot = Robot(0.0, 0.0)
+    robot.tilt = -0.35
+    grid = look(RollingGrid(), robot)
+    grid.outline([np.array([[1.0, -0.2], [1.4, -0.2], [1.4, 0.2], [1.0, 0.2]])])
+    plain, outlined = (
+        grid.corridor((0.5, 0.0), (2.0, 0.0), 0.15, outlined=told).obstacle for told in (False, True)
+    )
+    assert plain is None
+    assert outlined == pytest.approx((1.0, 0.0), abs=0.2)
+    cell = grid.cell((1.2, 0.0))
+    assert grid.clearance(outlined=True)[cell] == 0.0
+    assert grid.clearance()[cell] > 0.5
+    grid.outline([])
+    assert grid.clearance(outlined=True)[cell] > 0.5
+
+
+def seen_round(*places, posts=()):
+    """A floor plan of what a robot saw that turned on each place, and where it looked from last."""
+    robot, grid, plan = Robot(0.0, 0.0), RollingGrid(), SeenFloor()
+    robot.tilt, robot.posts = -0.5, list(posts)
+    for robot.x, robot.y in places:
+        for turn in range(12):
+            robot.heading = turn * math.pi / 6
+            look(grid, robot)
+            plan.take(grid)
+    return plan
+
+
+def test_the_floor_plan_keeps_what_the_grid_has_left():
+    posts = [*wall(4.0, -0.6, 9.0)]
+    plan = seen_round((0, 0), (3, 0), (5, -2), (7, 1), posts=posts)
+    way = plan.way((0.0, 1.0), (7.0, 1.0))
+    assert way is not None
+    assert way[-1] == (7.0, 1.0)
+    legs = list(itertools.pairwise([(0.0, 1.0), *way]))
+    samples = [np.linspace(a, b, 60) for a, b in legs]
+    assert min(math.dist(p, post) for leg in samples for p in leg for post in posts) > 0.28
+
+
+def test_no_way_over_floor_that_was_never_seen_unless_it_is_dear():
+    plan = seen_round((0, 0), (9, 0))
+    assert plan.way((0.0, 0.0), (9.0, 0.0)) is None
+    assert plan.way((0.0, 0.0), (9.0, 0.0), FreeWayOptions(unknown_cost=4.0)) is not None
+    assert plan.way((0.0, 0.0), (40.0, 0.0)) is None
+    assert SeenFloor().way((0.0, 0.0), (1.0, 0.0)) is None
+
+
+def test_a_free_way_keeps_off_outlines():
+    plan = seen_round((0, 0), (2, 0))
+    box = np.array([[0.8, -0.5], [1.2, -0.5], [1.2, 0.5], [0.8, 0.5]])
+    straight, round_it = plan.way((0.0, 0.0), (2.0, 0.0)), plan.way((0.0, 0.0), (2.0, 0.0), None, [box])
+    assert straight == ((2.0, 0.0),)
+    assert max(abs(y) for _x, y in round_it) > 0.68
+
+
+def test_something_on_the_end_has_a_place_near_it_stand_in():
+    plan = seen_round((0, 0), (2, 0.9), posts=[(2.0, 0.0)])
+    end = plan.way((0.0, 0.0), (2.0, 0.0))[-1]
+    assert 0.28 < math.dist(end, (2.0, 0.0)) <= 0.6

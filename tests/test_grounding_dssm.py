@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dssmsg_plugins.grounding.dssm import Config, DssmGrounding
@@ -249,3 +251,31 @@ def test_without_an_encoder_there_is_no_grounding(floor):
     with pytest.raises(ConfigError) as caught:
         DssmGrounding(Config(), context(floor.graph))
     assert caught.value.key == "encoder.use"
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "first"),
+    [
+        ("explicit", {}, "viewpoint-2.1"),
+        ("explicit", {"named": False}, "viewpoint-1.1"),
+        ("implicit", {}, "viewpoint-1.1"),
+    ],
+)
+def test_who_names_a_thing_means_one_seen_once_rather_than_another_of_kin(kind, options, first):
+    floor = FloorGraph()
+    for x in (0, 6):
+        floor.waypoint(x, 0)
+    floor.thing("sink", 1, 0, ["viewpoint-1.1"])
+    floor.thing("washbasin", 7, 0, ["viewpoint-2.1"], status="tentative")
+    floor.thing("mug", 7, 1, ["viewpoint-2.1"], status="tentative")
+    encoder = WordEncoder({"washbasin": "sink"})
+    wanted = replace(target("washbasin"), kind=kind)
+    found = without_view(floor, wanted, encoder=encoder, **options)
+    assert found[0].viewpoint_id == first
+    assert {name for one in found for name in one.matching.values()} <= {"object-1", "object-2"}
+
+
+def test_nobody_asks_for_what_is_not_believed_where_a_believed_one_has_the_name(floor):
+    floor.thing("mug", 0, 1, ["viewpoint-1.1"], status="tentative")
+    found = without_view(floor, target("mug"))
+    assert {one.matching["0"] for one in found} == {"object-2", "object-4"}

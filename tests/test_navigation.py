@@ -16,6 +16,7 @@ from dssmsg.checks import check_step
 from dssmsg.frame import Camera, Frame, quantise_depth
 from dssmsg.graph import changes as c
 from dssmsg.graph.paths import edge_key, nearest_waypoints, path_length, shortest_path
+from dssmsg.interfaces import Command
 
 CAMERA = Camera.from_fov(160, 120, math.radians(69.4))
 
@@ -257,6 +258,75 @@ def test_what_was_given_up_is_hoped_for_once_more_before_there_is_no_path():
     last, steps = seek(floor, robot, ["viewpoint-2.1"])
     assert (last.outcome, sum(len(step.changes) for step in steps)) == ("no path", 2)
     assert min(math.dist(xy, post) for xy in robot.trail for post in robot.posts) > 0.28
+
+
+def test_where_all_edges_are_blocked_floor_that_was_seen_leads_there():
+    """The only edge goes through a wall with a door beside it, which the survey saw but never drove."""
+    floor = FloorGraph()
+    for x in (0, 4):
+        floor.waypoint(x, 0)
+    floor.path("waypoint-1", "waypoint-2", blocked=True)
+    robot = Robot(0.0, 0.0)
+    robot.posts = [*wall(2.0, -1.8, 3.0), *wall(2.0, -6.0, -2.8)]
+    navigation = Dijkstra(Config(), context(floor.graph))
+
+    def watch(*places):
+        for robot.x, robot.y in places:
+            for turn in range(12):
+                robot.heading, robot.tilt, robot.index = turn * math.pi / 6, -0.5, robot.index + 1
+                navigation.watch(robot.frame())
+
+    watch((4.0, 0.0), (3.0, -2.0), (1.0, -2.0), (0.0, 0.0))
+    robot.trail, robot.tilt = [], 0.0
+    navigation.start(robot.frame(), ["viewpoint-2.1"])
+    for _ in range(400):
+        step = check_step(navigation.step(robot.frame()))
+        if step.outcome:
+            break
+        robot.step(step.command)
+    assert step.outcome == "success"
+    assert math.dist((robot.x, robot.y), (4, 0)) < 0.06
+    assert min(math.dist(xy, post) for xy in robot.trail for post in robot.posts) > 0.28
+    assert min(y for _x, y in robot.trail) < -1.9
+
+
+def test_what_was_touched_is_driven_round_though_nobody_sees_it():
+    floor = FloorGraph()
+    for x in (0, 3):
+        floor.waypoint(x, 0)
+    floor.path("waypoint-1", "waypoint-2")
+    robot = Robot(1.0, 0.0)
+    navigation = Dijkstra(Config(), context(floor.graph))
+    navigation.touched(robot.frame(), Command(linear=0.4))
+    robot.x, robot.index, robot.trail = 0.75, 1, []  # it has backed off
+    navigation.start(robot.frame(), ["viewpoint-2.1"])
+    for _ in range(300):
+        step = navigation.step(robot.frame())
+        if step.outcome:
+            break
+        robot.step(step.command)
+    assert step.outcome == "success"
+    assert min(math.dist(xy, (1.2, 0.0)) for xy in robot.trail) > 0.18
+
+
+def test_the_outline_of_a_known_thing_is_kept_off_where_there_is_room(square):
+    """Depth shows nothing of it; only the map says that it reaches to 0.1 m beside the edge."""
+    robot = Robot(0.0, 0.0)
+    square.thing("armchair", 1.5, 0.5, ["viewpoint-1.1"], size=(0.8, 0.8, 0.8), z=0.4)
+    last, _steps = seek(square, robot, ["viewpoint-2.1"])
+    assert last.outcome == "success"
+    aside = [max(abs(x - 1.5) - 0.4, 0.0, abs(y - 0.5) - 0.4) for x, y in robot.trail]
+    assert min(aside) > 0.18
+    assert min(y for _x, y in robot.trail) > -0.6
+
+
+def test_rugs_and_what_has_gone_have_no_outline(square):
+    square.thing("rug", 1.5, 0.5, ["viewpoint-1.1"], size=(0.8, 0.8, 0.04), z=0.03)
+    gone = square.thing("armchair", 1.5, 0.5, ["viewpoint-1.1"], size=(0.8, 0.8, 0.8), z=0.4)
+    square.add(c.ObjectChanged(cause=CAUSE, object_id=gone, values={"state": "disappeared"}))
+    robot = Robot(0.0, 0.0)
+    _last, _steps = seek(square, robot, ["viewpoint-2.1"])
+    assert max(abs(y) for x, y in robot.trail if x < 2.9) < 0.03
 
 
 def test_every_way_blocked_ends_without_a_path(square):

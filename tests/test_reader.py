@@ -19,7 +19,8 @@ from dssmsg.errors import InputError
 from dssmsg.graph import codec
 from dssmsg.graph.compare import same
 from dssmsg.graph.scene_graph import SceneGraph
-from dssmsg.recording import migrations, rows, schema, snapshots, store
+from dssmsg.recording import blob_column, migrations, rows, schema, snapshots
+from dssmsg.recording.chunk_index import ChunkIndex
 from dssmsg.recording.reader import Recording, newest
 from dssmsg.recording.writer import RecordingWriter
 from dssmsg.review.summary import summarize
@@ -370,12 +371,59 @@ def test_poses_and_label_vectors_need_no_images(recording: Recording, told: list
     assert all(np.array_equal(vectors[label], known[label]) for label in known)
 
 
-def test_images_are_read_in_any_order_with_little_kept(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "_KEPT_BYTES", 1)
+def test_what_was_detected_is_known_without_masks(recording: Recording) -> None:
+    named, hashes = recording.detected_names(), recording.detection_hashes()
+    assert list(named) == list(recording.key_frames)
+    assert named.keys() == hashes.keys()
+    for index in named:
+        detections = recording.detections(index) or ()
+        assert list(named[index]) == [(one.label, one.score) for one in detections]
+    first, later = list(hashes)[:2]
+    assert hashes[first] != hashes[later]
+
+
+def test_truth_is_decoded_when_it_is_looked_at(recording: Recording) -> None:
+    lazy = recording.frame(7, with_truth=True, lazy=True)
+    assert lazy.truth is not None
+    whole = recording.truth(7)
+    assert whole is not None
+    stored = recording.encoded_truth(7)
+    assert stored is not None
+    assert stored[1] == whole.instance_ids.shape
+    assert lazy.truth.objects == whole.objects
+    assert np.array_equal(lazy.truth.instance_ids, whole.instance_ids)
+    assert lazy.without_truth().truth is None
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_images_are_read_in_any_order_with_little_kept(
+    path: Path, monkeypatch: pytest.MonkeyPatch, indexed: bool
+) -> None:
+    monkeypatch.setattr(blob_column, "KEPT_BYTES", 1)
+    if not indexed:  # a version of Rerun that does not tell where its chunks are
+        monkeypatch.setattr(ChunkIndex, "of", lambda path, store: None)
     with Recording.open(path) as few:
         wanted = {index: few.frame(index).depth.copy() for index in range(FRAMES)}
         for index in (39, 3, 20, 20, 4, 0, 38):
             assert np.array_equal(few.frame(index).depth, wanted[index])
+
+
+def test_a_late_image_is_read_without_those_before_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[int] = []
+    whole = ChunkIndex.read
+
+    def watched(self: ChunkIndex, place: Any) -> Any:
+        read.append(place.number)
+        return whole(self, place)
+
+    monkeypatch.setattr(ChunkIndex, "read", watched)
+    with Recording.open(path) as recording:
+        recording.frame(FRAMES - 1, lazy=True)
+        assert len(read) == 1
+        recording.frame(FRAMES - 1)
+        assert len(read) == 2  # the colours
+        assert recording.encoded_images(FRAMES) is None
+        assert len(read) == 2
 
 
 def test_a_foreign_recording_is_refused(tmp_path: Path) -> None:

@@ -199,7 +199,7 @@ def test_damage_in_a_finished_file_is_said_with_its_path(
         if spoil == "json":
             texts = recording._file.table(schema.GRAPH_LOG).values("json")
             spoilt = [text[:-9] if number == 1 else text for number, text in enumerate(texts)]
-            monkeypatch.setattr(recording._changes, "_texts", spoilt)
+            monkeypatch.setattr(recording._changes, "texts", lambda: iter(spoilt))
         else:
             monkeypatch.setattr(recording._changes, "_blobs", {})
         with pytest.raises(InputError, match="the changes") as caught:

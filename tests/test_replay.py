@@ -16,6 +16,7 @@ from recorded_run import SyntheticRun, record
 from dssmsg import events as ev
 from dssmsg.errors import ConfigError, InputError
 from dssmsg.frame import Frame
+from dssmsg.mission.ahead import Ahead, Ready
 from dssmsg.mission.replay_config import ReplayPlan, plan_replay
 from dssmsg.recording.lazy_frame import LazyFrame, looking
 from dssmsg.recording.reader import Recording
@@ -50,6 +51,7 @@ perception: {use: oracle, wrong_label_rate: 0.05, min_pixels: 30}
 recording: {observers: {rerun: {images: lossless}}}
 timeout_secs: 300
 """
+TAKE = Ahead.take
 TABLES = ("windows", "matches", "navigation", "episodes", "errors", "phases")
 
 
@@ -115,6 +117,34 @@ def test_it_names_its_parent_and_keeps_what_the_robot_did(
         assert b.facts["plugins"]["llm"]["name"] == "recorded"
     assert summary["faster"] > 0
     assert "recorded detections and answers of the language model used again" in again[0].err
+
+
+@needs_open3d
+@pytest.mark.parametrize("killed_at", [None, 9])
+def test_a_second_process_changes_nothing_also_where_it_is_killed(
+    den: Project, original: Path, monkeypatch: pytest.MonkeyPatch, killed_at: int | None
+) -> None:
+    taken: list[bool] = []
+
+    def take(self: Ahead, index: int) -> Ready | None:
+        if index == killed_at:
+            self._process.kill()
+            self._process.join()
+        taken.append((ready := TAKE(self, index)) is not None)
+        return ready
+
+    monkeypatch.setattr(Ahead, "take", take)
+    monkeypatch.setattr("dssmsg.mission.replay._WORTH_A_PROCESS", 1)
+    _, path = replay(den, original)
+    with Recording.open(original) as a, Recording.open(path) as b:
+        assert list(b.change_rows()) == list(a.change_rows())
+        assert [b.frame_facts[i] for i in b.frame_indices] == [a.frame_facts[i] for i in a.frame_indices]
+        for index in (0, 20, a.frame_indices[-1]):
+            assert b.encoded_truth(index) == a.encoded_truth(index)
+            assert b.detection_cells(index) == a.detection_cells(index)
+        assert len(taken) == len(a.frame_indices)
+    assert taken[0]
+    assert all(taken) == (killed_at is None)
 
 
 @needs_open3d

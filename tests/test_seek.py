@@ -204,6 +204,36 @@ def test_after_a_touch_the_next_episode_begins_by_backing_off():
     assert min(frame.world_from_base[0, 3] for frame in world.taken) >= here
 
 
+def test_navigation_is_told_what_was_touched():
+    navigation = Navigation(frames=3)
+    world, felt = World(navigation), []
+    navigation.touched = lambda frame, command: felt.append((frame.index, command.linear))
+
+    def touch(frame, command):
+        world.contacts += 1
+
+    world.seeker.take = touch
+    assert world.seek().reason == "collision"
+    assert felt == [(1, 1.0)]
+    assert states(world)[-1] == "touch"
+
+
+@pytest.mark.parametrize(("fits", "reason"), [(2.0, ""), (1.0, "wrong match")])
+def test_another_object_of_the_name_must_fit_what_else_is_said(fits, reason):
+    """Asked for the lamp near the bed, the robot sees the other lamp from the first viewpoint."""
+    nodes = [{"label": "lamp"}, {"label": "bed"}]
+    edges = [{"source": 0, "target": 1, "relation": "near"}]
+    world = World(Navigation(), shows=["object-2"], answer={**ANSWER, "nodes": nodes, "edges": edges})
+    scores = {"object-1": 2.0, "object-2": fits}
+    found = tuple(
+        replace(one, scores={"score": scores[one.matching["0"]]})
+        for one in world.seeker.grounding.ground(None)
+    )
+    world.seeker.grounding.ground = lambda target: found
+    world.seeker.limits = EpisodeLimits(candidates=1)
+    assert world.seek().reason == reason
+
+
 def test_after_a_look_in_vain_the_map_is_asked_again():
     navigation = Navigation()
     world = World(navigation)

@@ -44,7 +44,7 @@ def diff_command(a: Path, b: Path, output: Path | None, *, view: bool, as_json: 
     """Compare two recordings, print the difference, and show both side by side where that is asked for."""
     import tempfile
 
-    from dssmsg.cli.output import note, print_json
+    from dssmsg.cli.output import note, print_json, show
     from dssmsg.cli.recordings import warn_of_cuts
     from dssmsg.recording.reader import Recording
     from dssmsg.review.diff import compare
@@ -68,7 +68,7 @@ def diff_command(a: Path, b: Path, output: Path | None, *, view: bool, as_json: 
         if as_json:
             print_json(difference.to_json())
         else:
-            print(difference_text(difference))
+            show(difference_text(difference))
         if view:
             from dssmsg.recording.viewer import Viewer
 

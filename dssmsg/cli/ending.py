@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
-from dssmsg.cli.output import error_json
+from dssmsg.cli.output import error_json, note, plain
 from dssmsg.errors import ConfigError, DssmsgError, StorageError
 
 INTERRUPTED, TERMINATED = 130, 143
@@ -70,9 +70,9 @@ class Ending:
         if known is None:
             message = f"{type(error).__name__}: {error}"
             self._print("internal", message, None, None)
-            print("error: this is a fault in dssmsg or in a plug-in, not in your input", file=sys.stderr)
+            note("error: this is a fault in dssmsg or in a plug-in, not in your input")
             return 1
-        print(f"error: {' '.join(str(known).split())}", file=sys.stderr)
+        note(f"error: {' '.join(str(known).split())}")
         self._print(known.kind, known.message, known.file, known.key)
         return known.exit_code
 
@@ -120,7 +120,7 @@ class _Line(logging.Formatter):
         self._debug = debug
 
     def format(self, record: logging.LogRecord) -> str:
-        line = f"{record.levelname.lower()}: {' '.join(record.getMessage().split())}"
+        line = plain(f"{record.levelname.lower()}: {' '.join(record.getMessage().split())}")
         if self._debug and record.exc_info:
             line += "\n" + self.formatException(record.exc_info)
         return line

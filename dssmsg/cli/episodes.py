@@ -82,7 +82,7 @@ def list_episodes(
     as_json: bool,
 ) -> None:
     """Print the rows and open what is asked for. Raises InputError where there is no recording at all."""
-    from dssmsg.cli.output import note, print_json, stdout_to_stderr
+    from dssmsg.cli.output import note, print_json, show, stdout_to_stderr
     from dssmsg.cli.progress import counting
     from dssmsg.errors import InputError
     from dssmsg.review.catalog import find_recordings, read_runs
@@ -109,7 +109,7 @@ def list_episodes(
     if as_json:
         print_json(rows[:limit])
     else:
-        print(episodes_text(rows[:limit]))
+        show(episodes_text(rows[:limit]))
     if opened and rows:
         _open(folder, rows[:opened], web=web)
 

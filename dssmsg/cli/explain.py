@@ -73,7 +73,7 @@ def register(app: typer.Typer) -> None:
 
 def show_explanation(recording: Path | None, object_id: str, *, as_json: bool) -> None:
     """Print the life of an object of a recording (a path, or None for the newest)."""
-    from dssmsg.cli.output import print_json
+    from dssmsg.cli.output import print_json, show
     from dssmsg.cli.recordings import warn_of_cuts
     from dssmsg.recording.reader import Recording
     from dssmsg.review.life import life_of, life_text
@@ -84,7 +84,7 @@ def show_explanation(recording: Path | None, object_id: str, *, as_json: bool) -
     if as_json:
         print_json(life.to_json())
     else:
-        print(life_text(life))
+        show(life_text(life))
 
 
 def show_episode(
@@ -97,7 +97,7 @@ def show_episode(
     as_json: bool,
 ) -> None:
     """Print what the rules of the configuration make of an episode."""
-    from dssmsg.cli.output import print_json, stdout_to_stderr
+    from dssmsg.cli.output import print_json, show, stdout_to_stderr
     from dssmsg.cli.recordings import warn_of_cuts
 
     path = chosen(recording)
@@ -118,14 +118,14 @@ def show_episode(
     if as_json:
         print_json(diagnosed_json(str(path), found))
     else:
-        print(diagnosed_text(str(path), found))
+        show(diagnosed_text(str(path), found))
 
 
 def show_query_explained(
     recording: Path | None, sentence: str, config: Path | None, sets: Sequence[str], *, as_json: bool
 ) -> None:
     """Print why the best viewpoint for a sentence won: as recorded, else grounded anew at the end."""
-    from dssmsg.cli.output import print_json, stdout_to_stderr
+    from dssmsg.cli.output import print_json, show, stdout_to_stderr
     from dssmsg.cli.recordings import warn_of_cuts
 
     path = chosen(recording)
@@ -143,7 +143,7 @@ def show_query_explained(
     if as_json:
         print_json(query_explained_json(str(path), told))
     else:
-        print(query_explained_text(str(path), told))
+        show(query_explained_text(str(path), told))
 
 
 def _grounded_anew(

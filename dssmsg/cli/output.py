@@ -1,13 +1,23 @@
-"""stdout carries the result alone: what plug-ins and libraries print goes to stderr."""
+"""stdout carries the result alone: what plug-ins and libraries print goes to stderr.
+
+Names come from recordings and models of strangers: what is printed here cannot steer the terminal.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
+
+_STEERING = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters but line feed and tab, signs that turn the direction of writing, and halves of
+characters, which cannot be encoded."""
 
 
 @contextmanager
@@ -32,9 +42,20 @@ def stdout_to_stderr() -> Iterator[int | None]:
             os.close(saved)
 
 
+def plain(text: str) -> str:
+    """A text in which control characters are spelt out (`\\x1b`) instead of obeyed; lines and tabs stay."""
+    return _STEERING.sub(lambda found: found.group().encode("unicode_escape").decode("ascii"), text)
+
+
+def show(text: str) -> None:
+    """A result for the human, on stdout."""
+    print(plain(text))
+
+
 def print_json(value: Any) -> None:
     """One JSON value on stdout."""
-    print(json.dumps(value, ensure_ascii=False, indent=2))
+    text = json.dumps(value, ensure_ascii=False, indent=2)
+    print(_STEERING.sub(lambda found: f"\\u{ord(found.group()):04x}", text))
 
 
 def error_json(kind: str, message: str, file: str | None = None, key: str | None = None) -> str:
@@ -44,4 +65,4 @@ def error_json(kind: str, message: str, file: str | None = None, key: str | None
 
 def note(message: str) -> None:
     """A line for the human, on stderr."""
-    print(message, file=sys.stderr)
+    print(plain(message), file=sys.stderr)

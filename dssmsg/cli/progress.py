@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from dssmsg.cli.output import plain
+
 Told = Callable[[int, int, str], None]
 """How many are done, of how many, and a line on the latest ("" for none)."""
 
@@ -26,11 +28,11 @@ def counting() -> Iterator[Told]:
         def tell(done: int, of: int, line: str) -> None:
             bar.update(task, completed=done, total=of)
             if line:
-                bar.console.print(line, markup=False, highlight=False)
+                bar.console.print(plain(line), markup=False, highlight=False)
 
         yield tell
 
 
 def _say(done: int, of: int, line: str) -> None:
     if line:
-        print(line, file=sys.stderr, flush=True)
+        print(plain(line), file=sys.stderr, flush=True)

@@ -62,7 +62,7 @@ def show_query(
     Raises InputError for the recording, ConfigError for the time or the configuration, PluginError where the
     language model has no target graph to give.
     """
-    from dssmsg.cli.output import print_json, stdout_to_stderr
+    from dssmsg.cli.output import print_json, show, stdout_to_stderr
     from dssmsg.cli.recordings import chosen, moment, warn_of_cuts
 
     if len(words) > 2:
@@ -94,7 +94,7 @@ def show_query(
     if as_json:
         print_json(answer)
     else:
-        print(query_text(answer, top))
+        show(query_text(answer, top))
 
 
 def plugins_over(config: RunConfig, recording: Recording, graph: Any) -> tuple[Llm, Grounding]:

@@ -50,7 +50,7 @@ def register(app: typer.Typer) -> None:
           dssmsg inspect
           dssmsg inspect recordings/run.rrd --json
         """
-        from dssmsg.cli.output import print_json
+        from dssmsg.cli.output import print_json, show
         from dssmsg.recording.reader import Recording
         from dssmsg.review.summary import summarize
         from dssmsg.review.text import summary_text
@@ -60,7 +60,7 @@ def register(app: typer.Typer) -> None:
             if as_json:
                 print_json(summary)
             else:
-                print(summary_text(summary, opened.errors()))
+                show(summary_text(summary, opened.errors()))
 
     @app.command()
     def export(

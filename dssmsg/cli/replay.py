@@ -54,7 +54,7 @@ def register(app: typer.Typer) -> None:
 
 def replay_command(recording: Path | None, sets: list[str], file: Path | None, *, as_json: bool) -> int:
     """Replay a recording (a path, or None for the newest), print the summary, and return the exit code."""
-    from dssmsg.cli.output import note, print_json, stdout_to_stderr
+    from dssmsg.cli.output import note, print_json, show, stdout_to_stderr
     from dssmsg.cli.recordings import warn_of_cuts
     from dssmsg.mission.replay import replay_mission
     from dssmsg.mission.replay_config import plan_replay
@@ -80,11 +80,11 @@ def replay_command(recording: Path | None, sets: list[str], file: Path | None, *
         config = plan.config
         if any(one.name == "progress" for one in plan.host.registrations("observer")):
             config = config.with_defaults({"recording": {"observers": {"progress": {}}}})
-        result = replay_mission(config, plan.host, opened)
+        result = replay_mission(config, plan.host, opened, ahead=True)
     if as_json:
         print_json(result.summary)
     else:
-        print(summary_text(result.summary))
+        show(summary_text(result.summary))
         if result.summary["faster"]:
             print(f"{'replayed':<11}{result.summary['faster']} times as fast as the recorded run")
     return result.exit_code

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dssmsg.cli.output import error_json, note, print_json, stdout_to_stderr
+from dssmsg.cli.output import error_json, note, print_json, show, stdout_to_stderr
 from dssmsg.config import load_config
 from dssmsg.errors import DssmsgError, PluginTimeout
 from dssmsg.host import Host
@@ -77,7 +77,7 @@ def run_command(
     if as_json:
         print_json(summary)
     else:
-        print(summary_text(summary))
+        show(summary_text(summary))
     if view and summary.get("recording"):
         from dssmsg.cli.view import open_viewer
 

@@ -81,7 +81,7 @@ def run_sweep(
     as_json: bool,
 ) -> int:
     """Carry out a sweep, print its table and return the exit code."""
-    from dssmsg.cli.output import note, print_json, stdout_to_stderr
+    from dssmsg.cli.output import note, print_json, show, stdout_to_stderr
     from dssmsg.cli.progress import counting
     from dssmsg.errors import ConfigError
 
@@ -108,7 +108,7 @@ def run_sweep(
     elif as_csv:
         print(rows_csv(rows), end="")
     else:
-        print(sweep_text(rows))
+        show(sweep_text(rows))
         note(f"a line a run, with its recording: {place / 'runs.csv'}")
     failed = [result for result in results if result.error]
     for result in failed:

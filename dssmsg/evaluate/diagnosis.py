@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,19 +21,21 @@ from typing import Any
 import numpy as np
 
 from dssmsg.config import RunConfig, load_config
-from dssmsg.errors import ConfigError, DssmsgError, PluginError
-from dssmsg.evaluate.diagnosis_cases import ASSETS, FaultCase, fault_of, make_case
+from dssmsg.errors import ConfigError, PluginError
+from dssmsg.evaluate.diagnosis_cases import ASSETS, FaultCase, fault_of, image_size, make_case
 from dssmsg.evaluate.diagnosis_rules import build_rules
+from dssmsg.evaluate.diagnosis_views import opened_views
 from dssmsg.evaluate.faults.host import FaultyHost, Injection
 from dssmsg.evaluate.navigation_witness import EpisodeWitness
 from dssmsg.host import Host
 from dssmsg.mission.run import run_mission
 from dssmsg.review.diagnosis import CANNOT_TELL, FAULT, NO_FAULT, diagnose
 from dssmsg.review.episode import ReviewedRecording
+from dssmsg.sim.scenario_views import TourViews
 
 TABLE = "diagnosis"
 HEALTHY = "healthy"
-ATTEMPTS = 12
+ATTEMPTS = 20
 """So many homes are tried for a seed."""
 SUCCESS = "success"
 
@@ -42,7 +44,7 @@ SUCCESS = "success"
 class Pair:
     """An episode with its fault and its twin without, both recorded. `attempts`: homes that were tried.
 
-    `faulty` is empty where none of them made an episode that counts.
+    `passed_over` says why the earlier ones made no episode that counts; `faulty` is empty where none did.
     """
 
     seed: int
@@ -53,6 +55,7 @@ class Pair:
     twin: str = ""
     faulty: str = ""
     reason: str = ""
+    passed_over: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,6 @@ def evaluate_diagnosis(
     healthy_left = healthy
     for pair in _pairs(work, seeds, sets_of(sets), config, jobs, progress):
         if not pair.faulty:
-            progress(f"seed {pair.seed}, {pair.fault}: no episode that counts in {pair.attempts} homes")
             continue
         found += _explain(work / pair.faulty, pair, pair.layer, rules)
         if healthy_left > 0:
@@ -126,7 +128,7 @@ def _pairs(
             progress(_made(pairs[-1]))
         return pairs
     # Not forked: the renderer and the recording hold threads.
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=1)
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=8)
     made: dict[int, Pair] = {}
     with pool:
         waiting = {pool.submit(make_pair, work, seed, config, sets): seed for seed in seeds}
@@ -145,7 +147,11 @@ def _pairs(
 
 
 def _made(pair: Pair) -> str:
-    return f"seed {pair.seed}, {pair.fault}: made in {pair.attempts} tries, {pair.goal!r}: {pair.reason}"
+    over = f" (passed over: {', '.join(pair.passed_over)})" if pair.passed_over else ""
+    if not pair.faulty:
+        return f"seed {pair.seed}, {pair.fault}: no episode that counts in {pair.attempts} tries{over}"
+    reason = pair.reason or "mistaken"
+    return f"seed {pair.seed}, {pair.fault}: made in {pair.attempts} tries, {pair.goal!r}: {reason}{over}"
 
 
 def make_pair(work: Path, seed: int, config: Path | None, sets: Sequence[str]) -> Pair:
@@ -155,16 +161,21 @@ def make_pair(work: Path, seed: int, config: Path | None, sets: Sequence[str]) -
     folder = work / f"{name}-{metadata.version('dssmsg')}"
     done = folder / "pair.json"
     if done.is_file():
-        return Pair(**json.loads(done.read_text("utf-8")))
+        kept = json.loads(done.read_text("utf-8"))
+        return Pair(**{**kept, "passed_over": tuple(kept.get("passed_over", ()))})
     if folder.exists():  # what a run that was cut left behind
         shutil.rmtree(folder)
     folder.mkdir(parents=True)
     pair = Pair(seed, fault.name, fault.layer, "", ATTEMPTS)
-    for attempt in range(ATTEMPTS):
-        tried = _try(work, folder, seed, attempt, config, sets)
-        if tried is not None:
-            pair = tried
-            break
+    passed_over: list[str] = []
+    with opened_views() as views:
+        for attempt in range(ATTEMPTS):
+            tried = _try(work, folder, seed, attempt, views, config, sets)
+            if isinstance(tried, Pair):
+                pair = tried
+                break
+            passed_over.append(tried)
+    pair = replace(pair, passed_over=tuple(passed_over))
     draft = done.with_suffix(".tmp")
     draft.write_text(json.dumps(asdict(pair), indent=1), "utf-8")
     draft.replace(done)  # whole or not at all: it is what marks the episode as done
@@ -172,34 +183,45 @@ def make_pair(work: Path, seed: int, config: Path | None, sets: Sequence[str]) -
 
 
 def _try(
-    work: Path, folder: Path, seed: int, attempt: int, config: Path | None, sets: Sequence[str]
-) -> Pair | None:
-    """An episode that counts, or None; then nothing of it is left."""
+    work: Path,
+    folder: Path,
+    seed: int,
+    attempt: int,
+    views: TourViews,
+    config: Path | None,
+    sets: Sequence[str],
+) -> Pair | str:
+    """An episode that counts; or why there is none in this home, and then nothing of it is left."""
     place = folder / f"try-{attempt}"
     place.mkdir()
-    try:
-        case = make_case(work, place, seed, attempt)
-    except DssmsgError:  # a home in which the thing cannot stand where it was to be carried
-        case = None
-    if case is not None:
-        twin = _run(case, place / "twin", config, sets, None)
-        if twin is not None and twin[0] == SUCCESS:
-            injection = case.fault.injection(case.aim)
-            faulty = _run(case, place / "faulty", config, sets, injection)
-            if faulty is not None and faulty[0] == "failure":
-                assert injection.carried
-                return Pair(
-                    seed,
-                    case.fault.name,
-                    case.fault.layer,
-                    case.goal.text,
-                    attempt + 1,
-                    str(twin[2].relative_to(work)),
-                    str(faulty[2].relative_to(work)),
-                    faulty[1],
-                )
-    shutil.rmtree(place)
-    return None
+    case = make_case(work, place, seed, attempt, views)
+    tried = "no such goal" if case is None else _tried(work, place, case, attempt, config, sets)
+    if isinstance(tried, str):
+        shutil.rmtree(place)
+    return tried
+
+
+def _tried(
+    work: Path, place: Path, case: FaultCase, attempt: int, config: Path | None, sets: Sequence[str]
+) -> Pair | str:
+    twin = _run(case, place / "twin", config, sets, None)
+    if twin is None or twin[0] != SUCCESS:
+        return f"twin {'cannot run' if twin is None else 'failed: ' + (twin[1] or 'mistaken')}"
+    injection = case.fault.injection(case.aim)
+    faulty = _run(case, place / "faulty", config, sets, injection)
+    if faulty is None or faulty[0] != "failure":
+        return f"faulty {'cannot run' if faulty is None else 'succeeded'}"
+    assert injection.carried
+    return Pair(
+        case.seed,
+        case.fault.name,
+        case.fault.layer,
+        case.goal.text,
+        attempt + 1,
+        str(twin[2].relative_to(work)),
+        str(faulty[2].relative_to(work)),
+        faulty[1],
+    )
 
 
 def _run(
@@ -230,12 +252,13 @@ def _configuration(case: FaultCase, folder: Path, config: Path | None, sets: Seq
         "candidates": 1,
         "episode_secs": 90.0,
     }
+    width, height = image_size(case.fault)
     wanted = [
         f"seed={case.seed}",
         f"source.scene={json.dumps(str(case.scene.resolve()))}",
         f"source.assets={ASSETS}",
-        "source.width=200",
-        "source.height=150",
+        f"source.width={width}",
+        f"source.height={height}",
         "mission.views_per_heading=2",
         'perception={"use": "oracle", "miss_rate": 0.03, "mask_error_px": 1}',
         *(f"mission.{key}={json.dumps(value)}" for key, value in mission.items()),

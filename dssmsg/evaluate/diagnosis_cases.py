@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dssmsg.errors import DssmsgError
+from dssmsg.evaluate.diagnosis_views import Shown, shown_by
 from dssmsg.evaluate.faults.host import Aim
 from dssmsg.evaluate.faults.kinds import FAULTS, Fault
 from dssmsg.evaluate.navigation_cases import Goal, Home, possible_goals
+from dssmsg.sim.scenario_views import TourViews
 from dssmsg.sim.scene import Change, Disappear, Door, Piece, Placement, Relocate, Scene, load_scene
 
 HOMES = 12
@@ -22,7 +26,12 @@ HOMES = 12
 ASSETS = "embedded"
 """The furniture that is always there: the same episodes on every machine."""
 _STOPS, _STOPS_CHANGING = 3, 4
-_IN_SIGHT_M = 3.0
+_IMAGE_SIZE, _IMAGE_SIZE_CHANGING = (200, 150), (320, 240)
+"""Of the episodes' cameras, pixels: few, since hundreds are driven; more where small things move."""
+_MOST_MOVES = 40
+"""So many places of so many things are looked at for one that a tour shows."""
+_MOST_SHOWN = 0.5
+"""A goal is shown by no larger share of the views: it is not to be reached by accident."""
 _BARRIER = (1.1, 0.3, 1.0)
 """Size of what closes a door, metres."""
 _CARRIED = 0.12
@@ -51,7 +60,12 @@ def fault_of(seed: int) -> Fault:
     return FAULTS[(seed // 2) % len(FAULTS)]
 
 
-def make_case(work: Path, folder: Path, seed: int, attempt: int) -> FaultCase | None:
+def image_size(fault: Fault) -> tuple[int, int]:
+    """Width and height of the images in episodes with a fault, pixels."""
+    return _IMAGE_SIZE_CHANGING if fault.changes else _IMAGE_SIZE
+
+
+def make_case(work: Path, folder: Path, seed: int, attempt: int, views: TourViews) -> FaultCase | None:
     """A try at the episode of a seed, its scene written into a folder; None where the home does not fit.
 
     The same for the same seed and attempt. Whole homes are kept in the work folder.
@@ -61,30 +75,50 @@ def make_case(work: Path, folder: Path, seed: int, attempt: int) -> FaultCase | 
     whole = _home(work, 2 * int(rng.integers(HOMES)) + 1 + seed % 2)
     count = _STOPS_CHANGING if fault.changes else _STOPS
     first = int(rng.integers(max(1, len(whole.tour) - count + 1)))
-    scene = _part(whole, first, count)
-    moved: Piece | None = None
-    if fault.changes:
-        made = _with_move(scene, rng)
-        if made is None:
-            return None
-        scene, moved = made
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"home-{seed}-{attempt}.yaml"
-    _write(scene, path)
-    home = Home(str(path), ASSETS)
-    labels = {piece.id: home.placer.model(piece).label for piece in scene.pieces()}
-    goals = _goals(home, labels, moved)
+    part = _part(whole, first, count)
+    scenes: Iterable[tuple[Scene, Piece | None]] = ((part, None),)
+    if fault.changes:
+        scenes = itertools.islice(_moves(part, rng), _MOST_MOVES)
+    for scene, moved in scenes:
+        _write(scene, path)
+        try:
+            case = _case_in(Home(str(path), ASSETS), moved, views, rng, (seed, attempt, fault, path))
+        except DssmsgError:  # the thing cannot stand where it was to be carried
+            continue
+        if case is not None:
+            return case
+    return None
+
+
+def _case_in(
+    home: Home,
+    moved: Piece | None,
+    views: TourViews,
+    rng: np.random.Generator,
+    about: tuple[int, int, Fault, Path],
+) -> FaultCase | None:
+    """The episode in a home, if its tour shows something that is worth asking for."""
+    width, _ = image_size(about[2])
+    labels = {piece.id: home.placer.model(piece).label for piece in home.scene.pieces()}
+    shown = shown_by(views, home.scene, home.placer, 0, width)
+    if moved is None:
+        goals = _goals(home, labels, shown)
+    elif moved.id in shown.shares and moved.id in shown_by(views, home.scene, home.placer, 1, width).shares:
+        goals = [Goal(f"the {labels[moved.id]}", (moved.id,))]
+    else:
+        goals = []
     if not goals:
         return None
     goal = goals[int(rng.integers(len(goals)))]
     label = labels[goal.targets[0]]
-    near = {labels[piece.id] for piece in _in_sight(scene, home)}
-    others = tuple(sorted(name for name in near if not _alike(name, label)))
+    others = tuple(sorted({labels[name] for name in shown.shares if not _alike(labels[name], label)}))
     if not others:
         return None
     chance = int(rng.integers(1000))
-    barriers = tuple(_barrier(scene, door, 950 + i) for i, door in enumerate(scene.doors))
-    return FaultCase(seed, attempt, fault, path, goal, Aim(label, others, chance, 1, barriers))
+    barriers = tuple(_barrier(home.scene, door, 950 + i) for i, door in enumerate(home.scene.doors))
+    return FaultCase(*about, goal, Aim(label, others, chance, 1, barriers))
 
 
 def _home(work: Path, number: int) -> Scene:
@@ -111,9 +145,8 @@ def _part(whole: Scene, first: int, count: int) -> Scene:
     return whole.model_copy(update={"tour": tour, "changes": changes})
 
 
-def _with_move(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Piece] | None:
-    """The home in which one small thing, the only one of its kind, stands elsewhere in the second visit."""
-    stops = [stop.at for stop in scene.tour]
+def _moves(scene: Scene, rng: np.random.Generator) -> Iterator[tuple[Scene, Piece]]:
+    """Homes in which one small thing, the only one of its kind, stands elsewhere in the second visit."""
     placed = {p.id: p for p in scene.furniture if p.at is not None or p.wall is not None}
     small = [
         piece
@@ -123,21 +156,19 @@ def _with_move(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Piece] | 
         and math.prod(piece.size) < _CARRIED
         and sum(other.category == piece.category for other in scene.pieces()) == 1
     ]
-    if not small:
-        return None
-    piece = small[int(rng.integers(len(small)))]
-    supports = sorted({p.on for p in scene.furniture if p.on in placed and p.on != piece.on and p.on})
-    if not supports or not stops:
-        return None
-    onto = supports[int(rng.integers(len(supports)))]
-    others = [
-        change
-        for change in scene.changes
-        if not (isinstance(change, Relocate | Disappear) and change.object in (piece.id, onto))
-        and _support(change) != onto
-    ]
-    move = Relocate(kind="relocate", object=piece.id, before_visit=1, to=Placement(on=onto, at=(0.0, 0.0)))
-    return scene.model_copy(update={"changes": (*others, move)}), piece
+    supports = sorted({p.on for p in scene.furniture if p.on in placed and p.on})
+    pairs = [(piece, onto) for piece in small for onto in supports if onto != piece.on]
+    for place in rng.permutation(len(pairs)):
+        piece, onto = pairs[int(place)]
+        others = [
+            change
+            for change in scene.changes
+            if not (isinstance(change, Relocate | Disappear) and change.object in (piece.id, onto))
+            and _support(change) != onto
+        ]
+        to = Placement(on=onto, at=(0.0, 0.0))
+        move = Relocate(kind="relocate", object=piece.id, before_visit=1, to=to)
+        yield scene.model_copy(update={"changes": (*others, move)}), piece
 
 
 def _support(change: Change) -> str | None:
@@ -145,35 +176,15 @@ def _support(change: Change) -> str | None:
     return None if place is None else place.on
 
 
-def _goals(home: Home, labels: Mapping[str, str], moved: Piece | None) -> list[Goal]:
-    """Sentences that name one kind of thing, which can be seen from the stops."""
-    if moved is not None:
-        return [Goal(f"the {labels[moved.id]}", (moved.id,))]
-    near = {piece.id for piece in _in_sight(home.scene, home)}
+def _goals(home: Home, labels: Mapping[str, str], shown: Shown) -> list[Goal]:
+    """Sentences that name one kind of thing, which some views of the tour show, but none at its end."""
     return [
         goal
         for goal in possible_goals(home)
-        if near & set(goal.targets) and len({labels[name] for name in goal.targets}) == 1
+        if len({labels[name] for name in goal.targets}) == 1
+        and 0.0 < sum(shown.shares.get(name, 0.0) for name in goal.targets) <= _MOST_SHOWN
+        and not shown.last & set(goal.targets)
     ]
-
-
-def _in_sight(scene: Scene, home: Home) -> list[Piece]:
-    """Pieces near a stop, in a room that has one."""
-    rooms = {scene.room_at(*stop.at) for stop in scene.tour} - {None}
-    placed = home.placer.initial()
-    found = []
-    for piece in scene.furniture:
-        if piece.id not in placed:
-            continue
-        x, y, _ = placed[piece.id].solid.center
-        room = scene.room_at(x, y)
-        if room in rooms and _nearest(scene, (x, y)) <= _IN_SIGHT_M:
-            found.append(piece)
-    return found
-
-
-def _nearest(scene: Scene, place: tuple[float, float]) -> float:
-    return min(math.dist(stop.at, place) for stop in scene.tour)
 
 
 def _alike(a: str, b: str) -> bool:

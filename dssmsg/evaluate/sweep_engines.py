@@ -76,8 +76,8 @@ def ray(runs: Sequence[Run], jobs: int, address: str | None = None) -> Ended:
     The folders of the runs must be on a file system that all its machines share. Raises ConfigError where
     Ray is not installed or the cluster does not answer.
     """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    for name, value in _RAY_SETTINGS.items():
+        os.environ.setdefault(name, value)
     try:
         import ray as cluster
     except ImportError as error:
@@ -106,6 +106,17 @@ def ray(runs: Sequence[Run], jobs: int, address: str | None = None) -> Ended:
                     yield run, " ".join(str(error).split())[:300]
     finally:
         cluster.shutdown()
+
+
+_RAY_SETTINGS = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    # A worker that Ray's memory monitor kills is begun anew without end unless this says otherwise.
+    "RAY_task_oom_retries": str(ATTEMPTS - 1),
+    # A worker that takes longer to start is ended, and another one begun: on a busy machine, for ever.
+    "RAY_worker_register_timeout_seconds": "600",
+}
+"""What Ray reads of the environment; what the user has set stays."""
 
 
 Engine = Callable[[Sequence[Run], int], Ended]

@@ -8,6 +8,7 @@ without a reading gives no evidence at all.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -60,11 +61,8 @@ class View:
 
     @classmethod
     def of(cls, frame: Frame) -> View:
-        """The view of a frame at full size."""
-        valid = frame.depth > 0
-        filled = np.where(valid, frame.depth, np.float32(np.inf))
-        near = np.where(valid, minimum_filter(filled, size=3, mode="nearest"), np.float32(0))
-        return cls(frame.index, frame.visit, frame.camera, frame.world_from_camera, near, frame.rgb)
+        """The view of a frame at full size; association and update ask for the same one."""
+        return _view_of(frame)
 
     def thinned(self, stride: int = 2) -> View:
         """Every second pixel of each second row, to be kept: a quarter of the memory."""
@@ -77,6 +75,14 @@ class View:
             np.ascontiguousarray(self.rgb[::stride, ::stride]),
             self.stride * stride,
         )
+
+
+@lru_cache(maxsize=1)
+def _view_of(frame: Frame) -> View:
+    valid = frame.depth > 0
+    filled = np.where(valid, frame.depth, np.float32(np.inf))
+    near = np.where(valid, minimum_filter(filled, size=3, mode="nearest"), np.float32(0))
+    return View(frame.index, frame.visit, frame.camera, frame.world_from_camera, near, frame.rgb)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

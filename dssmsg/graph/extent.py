@@ -28,9 +28,9 @@ STATION_M = 0.5
 MIN_SHRINK_M = 0.05
 """A cloud is cut where its box becomes this much shorter on an axis, metres; what changes less stays."""
 SURROUNDINGS_M = 0.2
-"""So far about an object a frame votes on what it shows: what is beside a mug was never part of it, metres."""
+"""So far about an object a frame votes on what it shows, metres: what is beside a mug is no part of it."""
 OUTGROWN, MIN_OUTGROWN_M = 1.3, 0.05
-"""What becomes this many times and metres longer has grown more than one look from one place is trusted with."""
+"""What becomes this many times and metres longer grows more than one place is trusted with."""
 _STEPS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) * VOXEL_M
 
 

@@ -101,8 +101,8 @@ def aligned_pieces(
     wall's two sides, do not fit); along the other axes half of the shorter one must lie beside the other.
     Pieces whose label is in `unnamed` (those of a class-agnostic perception) have no label in common and
     never fit. `joined` are joins made just before, that the graph does not show yet: these are added to them.
-    The same two never join that `contained_pieces` keeps apart, nor two that would be too large for their kind,
-    see `_outsized`: two chairs side by side line up as well as the halves of a wardrobe.
+    The same two never join that `contained_pieces` keeps apart, nor two that would be too large for their
+    kind, see `_outsized`: two chairs side by side line up as well as the halves of a wardrobe.
     """
     nameless = frozenset(unnamed)
     found = []

@@ -10,7 +10,7 @@ from dssmsg.interfaces.diagnosis import Diagnosis, Finding
 from dssmsg.interfaces.encoder import Encoder
 from dssmsg.interfaces.grounding import Grounding, TargetEdge, TargetGraph, TargetNode
 from dssmsg.interfaces.llm import Answer, Exchange, Llm, Message, TellsExchanges
-from dssmsg.interfaces.navigation import Navigation, Step
+from dssmsg.interfaces.navigation import FeelsTouch, Navigation, Step, WatchesFloor
 from dssmsg.interfaces.observer import Observer
 from dssmsg.interfaces.perception import Box, Detector, Perception, Segmenter, Tagger
 from dssmsg.interfaces.source import Command, Source, SourceInfo, Stop
@@ -43,6 +43,7 @@ __all__ = [
     "Diagnosis",
     "Encoder",
     "Exchange",
+    "FeelsTouch",
     "Finding",
     "Grounding",
     "Llm",
@@ -62,4 +63,5 @@ __all__ = [
     "TellsExchanges",
     "Update",
     "UpdateResult",
+    "WatchesFloor",
 ]

@@ -43,3 +43,21 @@ class Navigation(Protocol):
     def step(self, frame: Frame) -> Step:
         """The next command from the newest frame."""
         ...
+
+
+@runtime_checkable
+class WatchesFloor(Protocol):
+    """What a navigation may offer, too: it learns from every frame, also where it is not asked to drive."""
+
+    def watch(self, frame: Frame) -> None:
+        """A frame of the mission, its truth removed; frames that `step` was asked about come as well."""
+        ...
+
+
+@runtime_checkable
+class FeelsTouch(Protocol):
+    """What a navigation may offer, too: it remembers what the robot has touched."""
+
+    def touched(self, frame: Frame, command: Command) -> None:
+        """The command that led to this frame drove the robot against something."""
+        ...

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dssmsg.config import MissionConfig
 from dssmsg.frame import FloatArray, Frame
 
 
@@ -26,6 +27,14 @@ class KeyFrameRule:
     place_m: float = 0.5
     drive_step_m: float = 0.5
     drive_step_rad: float = math.radians(30)
+
+
+def key_frame_rule(mission: MissionConfig) -> KeyFrameRule:
+    """The rule of a configured mission: as many key frames a heading, as far apart, as it looks."""
+    return KeyFrameRule(
+        per_heading=mission.views_per_heading,
+        stop_step_rad=min(KeyFrameRule().stop_step_rad, math.radians(mission.heading_step_deg)),
+    )
 
 
 class KeyFrameSelector:

@@ -11,6 +11,7 @@ With the plug-ins that were recorded, on lossless images, the change log is the 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from dssmsg import checks
 from dssmsg.config import RunConfig
 from dssmsg.errors import InputError
 from dssmsg.events import Advised, ErrorOccurred, NavigationChanged, RunStarted
@@ -26,13 +28,18 @@ from dssmsg.frame import Frame
 from dssmsg.guard import LastWords, say_on_stderr
 from dssmsg.host import Host
 from dssmsg.interfaces import Command, Observer
+from dssmsg.mission.ahead import Ahead, AheadFloor, AheadLifter, Task
+from dssmsg.mission.keyframes import key_frame_rule
 from dssmsg.mission.run import Mission, RunResult
+from dssmsg.mission.topology import FloorPlan
 from dssmsg.recording.lazy_frame import looking
 from dssmsg.recording.reader import Recording
 
 DRIVE_OVER = "recorded drive over"
 """Why an episode ends whose robot, in the recording, drove no further."""
 _SEEK = "seek"
+_WORTH_A_PROCESS = 400
+"""Frames from which the start of another process, two seconds of work, is well spent."""
 
 
 def replay_mission(
@@ -42,10 +49,20 @@ def replay_mission(
     *,
     observers: Sequence[tuple[str, Observer]] = (),
     last_words: LastWords = say_on_stderr,
+    ahead: bool = False,
 ) -> RunResult:
-    """Carry out a replay that `plan_replay` put together; raises what `run_mission` raises."""
+    """Carry out a replay that `plan_replay` put together; raises what `run_mission` raises.
+
+    `ahead`: what needs no map may be done by a second process, if there is a core for it and enough to do.
+    That process imports the program's main module, which must do nothing when it is imported.
+    """
     with config.naming_files():
-        return Replay(config, host, recording, observers, last_words).run()
+        helper = _helper(config, recording) if ahead else None
+        try:
+            return Replay(config, host, recording, observers, last_words, helper).run()
+        finally:
+            if helper is not None:
+                helper.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +85,16 @@ class Replay(Mission):
         recording: Recording,
         observers: Sequence[tuple[str, Observer]] = (),
         last_words: LastWords = say_on_stderr,
+        ahead: Ahead | None = None,
     ) -> None:
         if not recording.readable_frame_indices:
             raise InputError("holds no frame to replay", file=recording.path)
-        super().__init__(config, host, observers, last_words)
         self._parent = recording
-        indices = recording.readable_frame_indices
-        self._visits = sorted({recording.visit(index) for index in indices})
-        self._waiting = deque(sorted(indices, key=lambda index: (recording.visit(index), index)))
+        self._ahead = ahead
+        lifter = None if ahead is None else AheadLifter(ahead)
+        super().__init__(config, host, observers, last_words, lifter)
+        self._waiting = deque(_in_order(recording))
+        self._visits = sorted({recording.visit(index) for index in self._waiting})
         self._parts = _parts(recording)
         self._ended = [one for one in recording.episodes() if one["reason"] != "not begun"]
         self._told: dict[int, list[NavigationChanged]] = {}
@@ -170,6 +189,27 @@ class Replay(Mission):
         self._looked = frame.at_stop
         return looking(frame, False) if self._seeking else frame
 
+    def _step(self, command: Command | None) -> Frame | None:
+        """The frame out of the parent, not out of the source, which would open and decode it once more."""
+        index, recording, has_truth = self._waiting[0], self._parent, self._info.has_truth
+        ready = None if self._ahead is None else self._ahead.take(index)
+        if ready is not None:  # and checked
+            return recording.decoded_frame(index, ready.depth_mm, ready.rgb, with_truth=has_truth)
+        frame: Frame = self._guard.call(
+            self._source_id,
+            "step",
+            lambda: recording.frame(index, with_truth=has_truth, lazy=True),
+            check=lambda value: checks.check_frame(value, self._info, self._frame),
+        )
+        return frame
+
+    def _count_collisions(self) -> int:
+        return self._parent.collisions(self._frame.index) if self._frame else 0
+
+    def _floor_plan(self) -> FloorPlan:
+        own = super()._floor_plan()
+        return own if self._ahead is None else AheadFloor(self._ahead, own)
+
     def _take(self, frame: Frame, command: Command | None) -> None:
         if self._seeking and command is not None:
             self._bus.tell(Advised(frame.index, frame.sim_time, command))
@@ -184,6 +224,22 @@ class Replay(Mission):
             "recorded_seconds": seconds,
             "faster": None if not seconds else round(seconds / (perf_counter() - self._started), 1),
         }
+
+
+def _in_order(recording: Recording) -> list[int]:
+    """The frames that can be read, visit by visit."""
+    return sorted(recording.readable_frame_indices, key=lambda index: (recording.visit(index), index))
+
+
+def _helper(config: RunConfig, recording: Recording) -> Ahead | None:
+    """A process that goes ahead, unless there is too little to do or no core to do it on."""
+    camera, noise = recording.camera(), recording.facts["source"]["depth_noise_m"]
+    indices = _in_order(recording)[: config.mission.max_frames]
+    if camera is None or len(indices) < _WORTH_A_PROCESS or (os.cpu_count() or 1) < 2:
+        return None
+    reused = config.perception.use == "recorded"
+    rule = key_frame_rule(config.mission)
+    return Ahead(Task(recording.readable_path, indices, camera, (noise[0], noise[1]), rule, reused))
 
 
 def _parts(recording: Recording) -> list[_Part]:

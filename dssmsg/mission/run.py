@@ -31,19 +31,20 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.waypoints import WaypointTopology
 from dssmsg.guard import Guard, LastWords, say_on_stderr
 from dssmsg.host import Built, Host
-from dssmsg.interfaces import Command, Observer, SourceInfo
+from dssmsg.interfaces import Command, Observer, SourceInfo, WatchesFloor
 from dssmsg.lift import Lifter
 from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.checked_encoder import CheckedEncoder
 from dssmsg.mission.identity import installed_versions, new_run_id
-from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
+from dssmsg.mission.keyframes import KeyFrameSelector, key_frame_rule
 from dssmsg.mission.llm_log import LoggedLlm
 from dssmsg.mission.log_events import logged_as_events
 from dssmsg.mission.pipeline import Pipeline, Plugins
 from dssmsg.mission.seek import EpisodeLimits, Seeker
 from dssmsg.mission.survey import Surveyor
-from dssmsg.mission.topology import TopologyKeeper
+from dssmsg.mission.topology import FloorPlan, TopologyKeeper
 from dssmsg.navigation.drive import Driver
+from dssmsg.navigation.grid import GridOptions, RollingGrid
 
 _log = logging.getLogger("dssmsg.mission")
 
@@ -217,7 +218,7 @@ class Mission:
             )
 
     def _make_pipeline(self) -> Pipeline:
-        built, mission = self._built, self._config.mission
+        built = self._built
         plugins = Plugins(
             perception=built["perception"].plugin,
             association=built["association"].plugin,
@@ -227,20 +228,19 @@ class Mission:
             update_name=built["update"].registration.id,
             perception_needs_truth=built["perception"].registration.needs_truth,
         )
-        rule = KeyFrameRule(
-            per_heading=mission.views_per_heading,
-            stop_step_rad=min(KeyFrameRule().stop_step_rad, math.radians(mission.heading_step_deg)),
-        )
         return Pipeline(
             plugins,
             self.graph,
             WaypointTopology(self.graph, self._contexts.ids),
             self._lifter,
-            KeyFrameSelector(rule),
+            KeyFrameSelector(key_frame_rule(self._config.mission)),
             self._guard,
             self._bus,
-            TopologyKeeper(self.graph, self._contexts.ids, self._info.depth_noise_m),
+            TopologyKeeper(self.graph, self._contexts.ids, self._floor_plan()),
         )
+
+    def _floor_plan(self) -> FloorPlan:
+        return RollingGrid(GridOptions(noise=self._info.depth_noise_m))
 
     def _start_event(self) -> RunStarted:
         return RunStarted(
@@ -380,15 +380,23 @@ class Mission:
         """The next frame of the source; None at the end of the visit or of the frame budget."""
         if self._is_out_of_frames():
             return None
-        name = self._source_id
         with self._pipeline.stage("source"):
-            frame: Frame | None = self._guard.call(
-                name,
-                "step",
-                lambda: self._source.step(command),
-                check=lambda value: checks.check_frame(value, self._info, self._frame),
-            )
+            return self._step(command)
+
+    def _step(self, command: Command | None) -> Frame | None:
+        frame: Frame | None = self._guard.call(
+            self._source_id,
+            "step",
+            lambda: self._source.step(command),
+            check=lambda value: checks.check_frame(value, self._info, self._frame),
+        )
         return frame
+
+    def _count_collisions(self) -> int:
+        count: int = self._guard.call(
+            self._source_id, "collisions", self._source.collisions, check=checks.check_count
+        )
+        return count
 
     def _is_out_of_frames(self) -> bool:
         """Whether `mission.max_frames` is used up; said once, in the log: it is a wish, not a fault."""
@@ -406,9 +414,12 @@ class Mission:
             step = frame.world_from_base[:2, 3] - self._frame.world_from_base[:2, 3]
             self._distance += float(math.hypot(*step))
         self._frame = frame
-        self._collisions = self._guard.call(
-            self._source_id, "collisions", self._source.collisions, check=checks.check_count
-        )
+        self._collisions = self._count_collisions()
+        navigation = self._built["navigation"].plugin
+        if isinstance(navigation, WatchesFloor) and "seek" in self._config.mission.phases:
+            name = self._built["navigation"].registration.id
+            with self._pipeline.stage("navigation"):
+                self._guard.call(name, "watch", navigation.watch, frame.without_truth(), default=None)
         self._pipeline.process(frame, command, self._collisions)
 
     def _tell_state(self, frame: Frame, state: str, detail: str, target_xy: tuple[float, float]) -> None:

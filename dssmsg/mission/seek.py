@@ -1,9 +1,9 @@
 """The seek phase: a sentence, its target graph, the best viewpoint, the drive there, a look (ALGORITHM D, E).
 
 The robot judges by sight: an episode is a success when the object that was taken for the core target, or
-another of its name, is observed from the goal viewpoint. Where it is not, the map as it is then is asked
-again, and the next candidate is tried. Touching anything ends the episode, whatever it sees; the next one
-begins by backing off.
+another of its name that fits the sentence as well, is observed from the goal viewpoint. Where it is not, the
+map as it is then is asked again, and the next candidate is tried. Touching anything ends the episode,
+whatever it sees, and navigation is told of it; the next episode begins by backing off.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dssmsg.geometry import box_distance
 from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.guard import Guard
-from dssmsg.interfaces import Command, Grounding, Llm, Navigation, Step, TargetGraph
+from dssmsg.interfaces import Command, FeelsTouch, Grounding, Llm, Navigation, Step, TargetGraph
 from dssmsg.mission.bus import ObserverBus
 from dssmsg.mission.goal import (
     TARGET_GRAPH_SCHEMA,
@@ -33,6 +33,8 @@ from dssmsg.navigation.pose import floor_place
 SUCCESS, SEEN, COLLISION = "success", "seen", "collision"
 IN_VIEW_M = 4.0
 """Nearer than this an object counts as in view (ALGORITHM, Scores)."""
+_AS_GOOD = 0.9
+"""Another object of the name will do where its best score is this share of the wanted one's."""
 _LOOKS_AN_OBJECT = 2
 """An object that was missed from so many viewpoints is not looked for again."""
 _BACK_M, _BACK_MPS, _BACK_FRAMES = 0.25, 0.2, 15
@@ -63,6 +65,7 @@ class _Trip:
     replans: int = 0
     detours: int = 0
     tried: int = 0
+    target: TargetGraph | None = None
     wanted: str | None = None
     missed: dict[str, int] = field(default_factory=dict)
     looked_from: set[str] = field(default_factory=set)
@@ -152,7 +155,7 @@ class Seeker:
 
     def _search(self, target: TargetGraph, trip: _Trip) -> str:
         """Drive to one candidate after the other until the target is seen; `success` or the reason."""
-        core, reason = str(target.core), "no match"
+        core, reason, trip.target = str(target.core), "no match", target
         candidates = self._ground(target, trip.frame)
         trip.wanted = next((one.matching[core] for one in candidates if core in one.matching), None)
         while trip.tried < self.limits.candidates:
@@ -221,7 +224,7 @@ class Seeker:
                 )
             goal = step.goal or goals[0]
             if step.at_stop and (state == "look" or step.outcome == SUCCESS):
-                seen = self._sighted(matched.get(goal) or trip.wanted, trip.frame)
+                seen = self._sighted(matched.get(goal) or trip.wanted, trip)
                 if seen is not None:
                     self._tell(trip.frame, SEEN, f"{seen.id} ({seen.label}) from {goal}")
                     return SEEN, goal
@@ -237,6 +240,7 @@ class Seeker:
             following = replace(following, at_stop=step is not None and step.at_stop)
             self._move(trip, following, command)
             if self.collisions() > trip.collisions:
+                self._feel(trip.frame, command)
                 return COLLISION, goal
         return "navigation failed", ""
 
@@ -251,6 +255,20 @@ class Seeker:
                 break
             self._move(trip, following, command)
         self._tell(trip.frame, "back", "off what was touched")
+
+    def _feel(self, frame: Frame, command: Command) -> None:
+        """Let navigation remember what was touched, if it can: later episodes shall not drive there again."""
+        if isinstance(self.navigation, FeelsTouch):
+            self.guard.call(
+                self.names["navigation"],
+                "touched",
+                self.navigation.touched,
+                frame.without_truth(),
+                command,
+                default=None,
+            )
+        x, y = floor_place(frame)
+        self._tell(frame, "touch", f"something, at {x:.2f} {y:.2f}")
 
     def _move(self, trip: _Trip, frame: Frame, command: Command) -> None:
         """Take in the next frame of an episode, to which the command led."""
@@ -271,17 +289,32 @@ class Seeker:
             )
         return step
 
-    def _sighted(self, object_id: str | None, frame: Frame) -> ObjectNode | None:
-        """The object itself if this frame observed it, else one of the same label that it observed."""
+    def _sighted(self, object_id: str | None, trip: _Trip) -> ObjectNode | None:
+        """The object itself if the newest frame observed it, else one of its label that fits as well."""
         wanted = None if object_id is None else self.graph.objects.get(object_id)
         if wanted is None:
             return None
         alike = [
             node
             for node in self.graph.objects.values()
-            if node.label == wanted.label and self._is_in_view(node, frame)
+            if node.label == wanted.label and self._is_in_view(node, trip.frame)
         ]
-        return next((node for node in alike if node.id == object_id), alike[0] if alike else None)
+        return next((node for node in alike if node.id == object_id), None) or next(
+            (node for node in alike if self._fits_as_well(node, wanted, trip)), None
+        )
+
+    def _fits_as_well(self, node: ObjectNode, wanted: ObjectNode, trip: _Trip) -> bool:
+        """Whether a sentence that tells more than a name is true of another thing of the name, too."""
+        target = trip.target
+        if target is None or target.kind != "explicit":
+            return True
+        if not target.edges and not target.nodes[target.core].attributes:
+            return True
+        best: dict[str, float] = {}
+        for candidate in self._ground(target, trip.frame):
+            name = candidate.matching.get(str(target.core), "")
+            best[name] = max(best.get(name, 0.0), candidate.scores.get("score", 0.0))
+        return node.id in best and best[node.id] >= _AS_GOOD * best.get(wanted.id, 0.0)
 
     @staticmethod
     def _is_in_view(node: ObjectNode, frame: Frame) -> bool:

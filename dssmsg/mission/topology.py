@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from dssmsg.frame import Frame
 from dssmsg.graph.changes import Change
 from dssmsg.graph.ids import IdAllocator
-from dssmsg.graph.topology import TopologyMaintenance, TopologyOptions
+from dssmsg.graph.topology import Floor, TopologyMaintenance, TopologyOptions
 from dssmsg.graph.view import GraphView
-from dssmsg.navigation.grid import GridOptions, RollingGrid
+
+
+class FloorPlan(Floor, Protocol):
+    """A floor plan in the making: `dssmsg.navigation.grid.RollingGrid`."""
+
+    def forget(self) -> None:
+        """Begin with an empty floor plan."""
+        ...
+
+    def observe(self, frame: Frame) -> None:
+        """Take in a frame's depth."""
+        ...
 
 
 class TopologyKeeper:
-    """Feeds every frame to a rolling grid and asks the maintenance what follows."""
+    """Feeds every frame to a floor plan and asks the maintenance what follows."""
 
     def __init__(
         self,
         graph: GraphView,
         ids: IdAllocator,
-        depth_noise_m: tuple[float, float],
+        floor: FloorPlan,
         options: TopologyOptions | None = None,
     ) -> None:
         self._graph = graph
-        self._grid = RollingGrid(GridOptions(noise=depth_noise_m))
+        self._grid = floor
         self._maintenance = TopologyMaintenance(graph, ids, self._grid, options)
         self._visit: int | None = None
 

@@ -11,11 +11,9 @@ import numpy as np
 from scipy import ndimage
 
 from dssmsg.frame import FloatArray, IntArray
-from dssmsg.navigation.astar import cheapest_way
-from dssmsg.navigation.grid import Cell, Point, RollingGrid
-
-_SLACK = 1.15
-"""A straight leg may cost so many times what the path that it replaces costs where that is dearest."""
+from dssmsg.navigation.astar import Cell, cheapest_way
+from dssmsg.navigation.grid import Point, RollingGrid
+from dssmsg.navigation.shortcut import corners_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +40,8 @@ class DetourOptions:
     """So far behind a place to rejoin at the way should be clear, else what blocks it is still ahead."""
     hopeful: bool = False
     """Whether unseen floor right behind something may be free: whoever drives there sees it."""
+    outlined: bool = False
+    """Whether the outlines of known things are kept off, too (`RollingGrid.outline`)."""
     near_end: float = 0.6
     """Where something stands on the way's end, a place this near stands in for it."""
 
@@ -85,7 +85,7 @@ def find_detour(
         cells = cheapest_way(cost, here, cell)
         if cells is None:
             continue
-        corners = _corners(grid, cost, start, cells, place)
+        corners = corners_of(grid, cost, start, cells, place)
         length = math.dist(start, corners[0]) + sum(math.dist(a, b) for a, b in itertools.pairwise(corners))
         if length <= o.stretch * straight + o.extra:
             return Detour(corners, leg)
@@ -99,18 +99,21 @@ def step_costs(grid: RollingGrid, start: Point, options: DetourOptions) -> Float
 
     Close to the start it may be as near to things as it is now, else it could not leave a narrow place.
     """
-    o, clearance = options, grid.clearance(hopeful=options.hopeful)
-    need = np.full(clearance.shape, o.radius + o.margin)
+    o, rooms = options, [grid.clearance(hopeful=options.hopeful)]
+    if o.outlined:
+        rooms.append(grid.clearance(hopeful=o.hopeful, outlined=True))
     here = grid.cell(start)
-    if here is not None:
-        index: IntArray = np.indices(clearance.shape, dtype=np.int32)
-        away = np.hypot(index[0] - here[0], index[1] - here[1]) * grid.options.cell
-        need[away <= 0.3] = min(o.radius + o.margin, float(clearance[here]))
-        need[grid.occupied] = np.inf
-    tight = np.clip((o.radius + o.margin + o.comfort - clearance) / o.comfort, 0.0, 1.0)
+    tight = np.clip((o.radius + o.margin + o.comfort - rooms[-1]) / o.comfort, 0.0, 1.0)
     cost: FloatArray = np.where(grid.known_free, 1.0, o.unknown_cost) * (1.0 + 3.0 * tight)
-    cost[clearance < need - 1e-9] = np.inf
+    for clearance in rooms:
+        need = np.full(clearance.shape, o.radius + o.margin)
+        if here is not None:
+            index: IntArray = np.indices(clearance.shape, dtype=np.int32)
+            away = np.hypot(index[0] - here[0], index[1] - here[1]) * grid.options.cell
+            need[away <= 0.3] = min(o.radius + o.margin, float(clearance[here]))
+        cost[clearance < need - 1e-9] = np.inf
     if here is not None:
+        cost[grid.occupied] = np.inf
         cost[here] = 1.0
     return cost
 
@@ -129,7 +132,8 @@ def _rejoining(
     Each with the index of the way's point that comes next, and the metres there along the way.
     """
     travelled, behind = 0.0, False
-    clearance, room = grid.clearance(hopeful=options.hopeful), options.radius + options.margin
+    clearance = grid.clearance(hopeful=options.hopeful, outlined=options.outlined)
+    room = options.radius + options.margin
     for leg, (a, b) in enumerate(itertools.pairwise([start, *way])):
         length = max(math.dist(a, b), 1e-6)
         steps = max(1, math.ceil(length / 0.2))
@@ -182,31 +186,3 @@ def _around(middle: Point, radius: float) -> Iterator[Point]:
     for ring in np.arange(0.2, radius + 1e-9, 0.2):
         for angle in np.arange(0.0, math.tau - 1e-9, math.pi / 4):
             yield middle[0] + float(ring * math.cos(angle)), middle[1] + float(ring * math.sin(angle))
-
-
-def _corners(
-    grid: RollingGrid, cost: FloatArray, start: Point, cells: Sequence[Cell], end: Point
-) -> tuple[Point, ...]:
-    """The path with its needless bends left out, where a straight leg comes no closer to things than it."""
-    points = [start, *(grid.center(cell) for cell in cells[1:-1]), end]
-    prices = [float(cost[cell]) for cell in cells]
-    corners, here = [], 0
-    while here < len(points) - 1:
-        ahead = len(points) - 1
-        while ahead > here + 1 and not _passable(
-            grid, cost, points[here], points[ahead], _SLACK * max(prices[here : ahead + 1])
-        ):
-            ahead -= 1
-        corners.append(points[ahead])
-        here = ahead
-    return tuple(corners)
-
-
-def _passable(grid: RollingGrid, cost: FloatArray, a: Point, b: Point, most: float) -> bool:
-    """Whether every cell of a straight leg costs no more than `most`."""
-    count = max(2, math.ceil(2 * math.dist(a, b) / grid.options.cell))
-    for x, y in zip(np.linspace(a[0], b[0], count), np.linspace(a[1], b[1], count), strict=True):
-        cell = grid.cell((float(x), float(y)))
-        if cell is None or not cost[cell] <= most:
-            return False
-    return True

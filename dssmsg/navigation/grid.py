@@ -10,6 +10,7 @@ seen through as often.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,9 +20,12 @@ from scipy import ndimage
 
 from dssmsg.frame import FloatArray, Frame, IntArray, MaskArray
 from dssmsg.geometry import Sight, depth_sigma, pixel_rays, sight_of_points
+from dssmsg.navigation.astar import Cell
+from dssmsg.navigation.footprint import covered
 
 Point = tuple[float, float]
-Cell = tuple[int, int]
+_SURE_HITS = 6
+"""What speaks for a cell being occupied counts no more than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +75,16 @@ class RollingGrid:
         self._height = np.zeros(shape, dtype=np.float32)
         self._free = np.zeros(shape, dtype=np.bool_)
         self._fresh = np.zeros(shape, dtype=np.bool_)
-        self._clearance: dict[bool, FloatArray] = {}
+        self._outlined = np.zeros(shape, dtype=np.bool_)
+        self._touched: list[Point] = []
+        self._clearance: dict[tuple[bool, bool], FloatArray] = {}
 
     def forget(self) -> None:
         """Begin with an empty floor plan (the robot was carried, or a visit ended)."""
         self._corner = None
-        for array in (self._hits, self._height, self._free, self._fresh):
+        for array in (self._hits, self._height, self._free, self._fresh, self._outlined):
             array.fill(0)
+        self._touched.clear()
         self._clearance.clear()
 
     def observe(self, frame: Frame) -> None:
@@ -87,16 +94,44 @@ class RollingGrid:
         self._clearance.clear()
         hit = self._mark(frame)
         self._see_through(frame, hit)
+        self._mark_touched()
         near = self._cells_around((float(base[0]), float(base[1])), self.options.footprint)
         self._hits[near], self._free[near], self._fresh[near] = 0, True, True
 
-    def corridor(self, start: Point, end: Point, half_width: float) -> Corridor:
-        """What is known of the strip of `half_width` along a straight leg; cells outside are unknown."""
+    def touch(self, places: Iterable[Point]) -> None:
+        """Something was felt at these places (world metres): it stands there, whatever a camera says.
+
+        They stay occupied until the plan is forgotten, also where they leave it meanwhile.
+        """
+        self._touched.extend(places)
+        self._mark_touched()
+        self._clearance.clear()
+
+    def outline(self, rectangles: Sequence[FloatArray]) -> None:
+        """What known things may cover, as corners (4, 2) each; it takes the place of what was told before."""
+        self._outlined.fill(False)
+        self._clearance = {key: room for key, room in self._clearance.items() if not key[1]}
+        if self._corner is None:
+            return
+        x, y = (
+            (np.arange(self._count, dtype=np.float64) + low + 0.5) * self.options.cell for low in self._corner
+        )
+        for corners in rectangles:
+            rows = slice(*np.searchsorted(x, [corners[:, 0].min(), corners[:, 0].max()]))
+            columns = slice(*np.searchsorted(y, [corners[:, 1].min(), corners[:, 1].max()]))
+            self._outlined[rows, columns] |= covered(corners, x[rows], y[columns])
+
+    def corridor(self, start: Point, end: Point, half_width: float, *, outlined: bool = False) -> Corridor:
+        """What is known of the strip of `half_width` along a straight leg; cells outside are unknown.
+
+        `outlined`: outlines of known things count as occupied.
+        """
         inside, along, window = self._strip(start, end, half_width)
         total = self._strip_cells(start, end, half_width)
         if not inside.any():
             return Corridor(None, 0, 0.0, 0.0)
-        occupied = inside & self.occupied[window]
+        standing = self.occupied[window]
+        occupied = inside & (standing | self._outlined[window] if outlined else standing)
         free = float(np.count_nonzero(inside & self._free[window])) / total
         fresh = float(np.count_nonzero(inside & self._fresh[window])) / total
         obstacle = None
@@ -116,18 +151,26 @@ class RollingGrid:
         """(n, n) bool: cells whose floor, or the space above it, was seen free."""
         return self._free & ~self.occupied
 
-    def clearance(self, *, hopeful: bool = False) -> FloatArray:
+    @property
+    def corner(self) -> Cell | None:
+        """Cell (0, 0) of the plan in cells from the world's origin; None before the first frame."""
+        return self._corner
+
+    def clearance(self, *, hopeful: bool = False, outlined: bool = False) -> FloatArray:
         """(n, n) metres from each cell's middle to the nearest cell not to be touched (inf if none is).
 
         Those are the occupied ones and, unless `hopeful`, unseen ones close to them: a camera sees the face
-        of a thing, and what lies behind it belongs to the thing.
+        of a thing, and what lies behind it belongs to the thing. With `outlined` also those of outlines.
         """
-        if hopeful not in self._clearance:
+        key = (hopeful, outlined)
+        if key not in self._clearance:
             cells = self.occupied
             if not hopeful:
                 cells = cells | ((self._distance(cells) <= self.options.body) & ~self._free)
-            self._clearance[hopeful] = self._distance(cells)
-        return self._clearance[hopeful]
+            if outlined:
+                cells = cells | self._outlined
+            self._clearance[key] = self._distance(cells)
+        return self._clearance[key]
 
     def _distance(self, cells: MaskArray) -> FloatArray:
         """(n, n) metres from each cell's middle to the nearest of `cells`."""
@@ -191,7 +234,7 @@ class RollingGrid:
         seen_floor = np.bincount(flat[floor], minlength=n * n).reshape(n, n)
         heights = np.bincount(flat[standing], weights=height[standing], minlength=n * n).reshape(n, n)
         hit: MaskArray = hits >= o.min_pixels
-        self._hits[hit] = np.minimum(self._hits[hit] + 1 + (hits[hit] >= o.sure_pixels), 6)
+        self._hits[hit] = np.minimum(self._hits[hit] + 1 + (hits[hit] >= o.sure_pixels), _SURE_HITS)
         self._height[hit] = heights[hit] / hits[hit]
         clear = (seen_floor >= 1) & (hits == 0)
         self._free |= clear
@@ -216,6 +259,12 @@ class RollingGrid:
         gone = self._hits[rows, columns] == 0
         self._free[rows[gone], columns[gone]] = True
         self._fresh[rows[gone], columns[gone]] = True
+
+    def _mark_touched(self) -> None:
+        for place in self._touched:
+            cell = self.cell(place)
+            if cell is not None:
+                self._hits[cell], self._free[cell] = _SURE_HITS, False
 
     # -- cells of a place -------------------------------------------------------------------------------
 

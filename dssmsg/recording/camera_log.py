@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import rerun as rr
 
 from dssmsg import events
-from dssmsg.frame import FloatArray
+from dssmsg.frame import FloatArray, TruthObject
 from dssmsg.recording import palette, rows, schema
 from dssmsg.recording.images import MEDIA_TYPES, Encoding, encode_depth, encode_rgb
 from dssmsg.recording.sheets import SheetBook, Stamp
@@ -19,24 +19,32 @@ _DEPTH_RANGE_MM = (0.0, 5000.0)  # what the colours span, the same in every fram
 _BASE_RADIUS, _BASE_HEIGHT = 0.178, 0.109  # metres: the LoCoBot's base
 
 
-EncodedImages = Callable[[int], tuple[bytes, bytes] | None]
-"""Colours and depth of a frame as bytes, by its index; None if there are none."""
+class Encoded(Protocol):
+    """Where a frame's images are to be had as bytes, by its index; None if there are none."""
+
+    def encoded_images(self, index: int) -> tuple[bytes, bytes] | None:
+        """Colours and depth."""
+        ...
+
+    def encoded_truth(self, index: int) -> tuple[bytes, tuple[int, int]] | None:
+        """Instances and their (H, W)."""
+        ...
 
 
 class CameraLog:
     """Writes frames into a recording's sheets. Keeps the last frame's pose and no more."""
 
     def __init__(
-        self, book: SheetBook, images: Encoding, quality: int, copies: EncodedImages | None = None
+        self, book: SheetBook, images: Encoding, quality: int, copied: Encoded | None = None
     ) -> None:
-        self._copies = copies
+        self._copied = copied
         self._book = book
         self._images: Encoding = images
         self._quality = quality
         self._camera: Any = None
         self._last_spot: FloatArray | None = None
         self._overlaid = False
-        self._truth_objects: Any = None
+        self._truth_objects: Sequence[TruthObject] | None = None
         self.picture = b""
         """The last frame's colour image as it was encoded."""
 
@@ -91,10 +99,10 @@ class CameraLog:
         book.add(schema.FRAMES, stamp, rows.frame_row(event, updates))
         if event.command is not None:
             book.add(schema.COMMANDS, stamp, rows.command_row(event.command))
-        copied = None if self._copies is None else self._copies(frame.index)
-        if copied is None:
-            copied = encode_rgb(frame.rgb, self._images, self._quality), encode_depth(frame.depth)
-        self.picture, depth = copied
+        stored = None if self._copied is None else self._copied.encoded_images(frame.index)
+        if stored is None:
+            stored = encode_rgb(frame.rgb, self._images, self._quality), encode_depth(frame.depth)
+        self.picture, depth = stored
         book.look(schema.RGB, rr.EncodedImage, stamp, blob=self.picture)
         book.look(schema.DEPTH, rr.EncodedDepthImage, stamp, blob=depth)
         self._pose(schema.CAMERA, stamp, frame.world_from_camera)
@@ -119,14 +127,12 @@ class CameraLog:
 
     def truth(self, event: events.TruthSeen, stamp: Stamp) -> None:
         """A frame's truth; the objects only where they changed."""
-        objects = tuple(
-            (thing.instance_id, thing.name, thing.state, thing.box_min.tobytes(), thing.box_max.tobytes())
-            for thing in event.truth.objects
-        )
-        changed = objects != self._truth_objects
+        objects, before = event.truth.objects, self._truth_objects
         self._truth_objects = objects
-        text = rows.truth_objects_json(event.truth.objects) if changed else None
-        self._book.add(schema.TRUTH, stamp, rows.truth_row(event.truth, text))
+        same = objects is before or (before is not None and _described(objects) == _described(before))
+        text = None if same else rows.truth_objects_json(objects)
+        stored = None if self._copied is None else self._copied.encoded_truth(event.frame)
+        self._book.add(schema.TRUTH, stamp, rows.truth_row(event.truth, text, stored))
 
     def detections(self, event: events.Detected, stamp: Stamp) -> None:
         """A key frame's detections: rows for replay, and masks, boxes and names over the image."""
@@ -188,3 +194,11 @@ class CameraLog:
             translation=world_from_local[:3, 3],
             mat3x3=world_from_local[:3, :3],
         )
+
+
+def _described(objects: Sequence[TruthObject]) -> list[tuple[Any, ...]]:
+    """What of a truth's objects can change, to be compared."""
+    return [
+        (thing.instance_id, thing.name, thing.state, thing.box_min.tobytes(), thing.box_max.tobytes())
+        for thing in objects
+    ]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from dssmsg.graph import codec
 from dssmsg.graph.changes import Change
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import schema, snapshots
-from dssmsg.recording.columns import Blobs
 from dssmsg.recording.damage import reading
 from dssmsg.recording.frame_table import FrameTable
 from dssmsg.recording.store import ChunkFile
@@ -27,7 +26,14 @@ class ChangeLog:
     """Changes by their numbers, from 1. Raises InputError, naming the file, where one is damaged."""
 
     def __init__(
-        self, file: ChunkFile, path: Path, frames: FrameTable, blobs: Blobs, *, whole: bool, told: int
+        self,
+        file: ChunkFile,
+        path: Path,
+        frames: FrameTable,
+        blobs: Mapping[str, bytes],
+        *,
+        whole: bool,
+        told: int,
     ) -> None:
         self._table = file.table(schema.GRAPH_LOG)
         self._file = file
@@ -42,7 +48,7 @@ class ChangeLog:
         """How many changes can be folded: from the first on, without a gap, with all their arrays."""
         if self._whole:
             return len(self._table)
-        for number, text in enumerate(self._texts):
+        for number, text in enumerate(self._table.stream("json")):
             try:
                 change = codec.decode(json.loads(text), self._blobs)
             except (InputError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
@@ -90,10 +96,14 @@ class ChangeLog:
         """The JSON rows of changes, arrays as hashes; see `changes` for what is chosen."""
         with reading(self._path, "the changes"):
             if not (about or kinds or after):
-                yield from (json.loads(text) for text in self._texts[: self.readable])
+                yield from (json.loads(text) for text in self.texts())
                 return
             for place in self._chosen(about, kinds, after):
                 yield self._row(place)
+
+    def texts(self) -> Iterator[str]:
+        """The JSON of every change that can be folded, as it is stored."""
+        return islice(self._table.stream("json"), self.readable)
 
     def changes(
         self, *, about: Collection[str] = (), kinds: Collection[str] = (), after: int = 0
@@ -174,10 +184,6 @@ class ChangeLog:
     @cached_property
     def _subjects(self) -> Sequence[str]:
         return self._table.values("subjects")
-
-    @cached_property
-    def _texts(self) -> Sequence[str]:
-        return self._table.values("json")
 
     @cached_property
     def _updates_before(self) -> Sequence[tuple[int, int]]:

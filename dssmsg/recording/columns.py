@@ -68,6 +68,16 @@ class ColumnTable:
             found += [values[end - n] if n else None for end, n in zip(ends, lengths, strict=True)]
         return self._ordered(found)
 
+    def stream(self, name: str) -> Iterator[Any]:
+        """What `values` gives, one after the other: no more than a chunk of them is in Python's memory."""
+        if name in self._filled or self._order is not None:
+            yield from (self.value(name, row) for row in range(len(self)))
+            return
+        for column in self._columns[name]:
+            values, lengths = _flat(column)
+            for end, length in zip(accumulate(lengths), lengths, strict=True):
+                yield values[end - length] if length else None
+
     def cell(self, name: str, row: int) -> list[Any]:
         """One cell of a row counted from 0."""
         if name in self._filled:
@@ -130,31 +140,6 @@ class ColumnTable:
             ) from error
 
 
-class Blobs(Mapping[str, bytes]):
-    """Bytes by hash, taken out of Arrow one at a time; the table is read when the first is asked for."""
-
-    def __init__(self, table: Callable[[], ColumnTable]) -> None:
-        self._make = table
-
-    @cached_property
-    def _table(self) -> ColumnTable:
-        return self._make()
-
-    @cached_property
-    def _rows(self) -> Mapping[str, int]:
-        return {name: row for row, name in enumerate(self._table.values("hash"))}
-
-    def __getitem__(self, name: str) -> bytes:
-        data: bytes = self._table.cell("data", self._rows[name])[0]
-        return data
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-
 def component_of(field: pa.Field) -> str | None:
     """The Rerun component identifier of a column; None for its times and ids."""
     name = (field.metadata or {}).get(b"rerun:component")
@@ -171,5 +156,6 @@ def _seconds(batch: pa.RecordBatch) -> list[float]:
 
 def _flat(column: pa.ListArray) -> tuple[list[Any], list[int]]:
     """All values of a list column in a row, and how many each cell has."""
-    lengths: list[int] = pc.fill_null(pc.list_value_length(column), 0).to_pylist()
+    # Not pc.fill_null: making a scalar of 0 makes pyarrow import pandas, half a second.
+    lengths = [length or 0 for length in pc.list_value_length(column).to_pylist()]
     return column.flatten().to_pylist(), lengths

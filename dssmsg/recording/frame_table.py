@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dssmsg.errors import InputError
-from dssmsg.frame import ByteArray, Camera, Detection, Float32Array, FloatArray, Frame, Truth
+from dssmsg.frame import (
+    ByteArray,
+    Camera,
+    Detection,
+    Float32Array,
+    FloatArray,
+    Frame,
+    IntArray,
+    Truth,
+    TruthObject,
+    depth_from_millimetres,
+)
 from dssmsg.interfaces.source import Command
 from dssmsg.recording import schema
-from dssmsg.recording.columns import Blobs
 from dssmsg.recording.damage import reading
 from dssmsg.recording.images import decode_depth, decode_instances, decode_masks, decode_rgb
-from dssmsg.recording.lazy_frame import LazyFrame
+from dssmsg.recording.lazy_frame import LazyFrame, LazyTruth
 from dssmsg.recording.rows import detections_from_row, feature_of, truth_objects
 from dssmsg.recording.store import ChunkFile
 
@@ -44,10 +56,11 @@ class FrameFacts:
 class FrameTable:
     """Frames by index. Raises InputError, naming the file, where a value is damaged."""
 
-    def __init__(self, file: ChunkFile, path: Path, blobs: Blobs) -> None:
+    def __init__(self, file: ChunkFile, path: Path, blobs: Mapping[str, bytes]) -> None:
         self._file = file
         self._path = path
         self._blobs = blobs
+        self._latest_objects: tuple[str, tuple[TruthObject, ...]] = ("[]", ())
 
     @cached_property
     def facts(self) -> Mapping[int, FrameFacts]:
@@ -107,36 +120,53 @@ class FrameTable:
     def frame(self, index: int, *, with_truth: bool = False, lazy: bool = False) -> Frame:
         """A frame as it was captured: pose and depth exactly, colours as exactly as they were stored.
 
-        `lazy`: colours are decoded on first use. Raises InputError if there is no such frame, or its images
-        were cut off or are damaged.
+        `lazy`: colours and truth are decoded on first use. Raises InputError if there is no such frame, or
+        its images were cut off or are damaged.
         """
-        facts = self.of(index)
-        images = self.encoded_images(index)
-        if images is None:
+        self.of(index)
+        camera = self._camera(index)
+        stored = self._file.blob(schema.DEPTH, _DEPTH, index)
+        if stored is None or not (lazy or self.encoded_images(index)):
             raise InputError(
                 f"the images of frame {index} are missing: the file was cut off", file=self._path
             )
-        camera = self._camera(index)
-        size = (camera.height, camera.width)
-
-        def colours() -> ByteArray:
-            with reading(self._path, f"the images of frame {index}"):
-                return decode_rgb(images[0], size)
-
         with reading(self._path, f"the images of frame {index}"):
-            distances = decode_depth(images[1], size)
-        fields: dict[str, Any] = {
+            distances = decode_depth(stored, (camera.height, camera.width))
+        fields = self._fields(index, camera, distances, with_truth, lazy)
+        colours = partial(self._colours, index, camera)
+        return LazyFrame(colours, **fields) if lazy else Frame(rgb=colours(), **fields)
+
+    def decoded_frame(
+        self, index: int, depth_mm: NDArray[np.uint16], rgb: ByteArray | None, *, with_truth: bool = False
+    ) -> Frame:
+        """A frame whose depth (H, W), perhaps colours (H, W, 3) too, are decoded; the rest is lazy."""
+        self.of(index)
+        camera = self._camera(index)
+        fields = self._fields(index, camera, depth_from_millimetres(depth_mm), with_truth, lazy=True)
+        return LazyFrame(partial(self._colours, index, camera) if rgb is None else rgb, **fields)
+
+    def _fields(
+        self, index: int, camera: Camera, depth: Float32Array, with_truth: bool, lazy: bool
+    ) -> dict[str, Any]:
+        facts = self.of(index)
+        return {
             "index": index,
             "sim_time": facts.sim_time,
-            "depth": distances,
+            "depth": depth,
             "camera": camera,
             "world_from_camera": self._pose(index, "world_from_camera"),
             "world_from_base": self._pose(index, "world_from_base"),
             "visit": facts.visit,
             "at_stop": facts.at_stop,
-            "truth": self.truth(index) if with_truth else None,
+            "truth": self.truth(index, lazy=lazy) if with_truth else None,
         }
-        return LazyFrame(colours, **fields) if lazy else Frame(rgb=colours(), **fields)
+
+    def _colours(self, index: int, camera: Camera) -> ByteArray:
+        data = self._file.blob(schema.RGB, _RGB, index)
+        with reading(self._path, f"the images of frame {index}"):
+            if data is None:
+                raise ValueError("they are missing")
+            return decode_rgb(data, (camera.height, camera.width))
 
     def frames(self, indices: Sequence[int]) -> Iterator[Frame]:
         """Frames in the order of `indices`, decoded one at a time."""
@@ -221,6 +251,27 @@ class FrameTable:
         with reading(self._path, f"the detections of frame {index}"):
             return {name: table.cell(name, row) for name in schema.DETECTIONS.columns}
 
+    def detection_hashes(self) -> Mapping[int, bytes]:
+        """A hash of each frame's detections as they are stored; chunk by chunk, nothing is kept."""
+        names = schema.DETECTIONS.columns
+        found = {}
+        with reading(self._path, "the detections"):
+            for table in self._file.chunks(schema.DETECTIONS):
+                cells = zip(*(table.cells(name) for name in names), strict=True)
+                for frame, row in zip(table.frames, cells, strict=True):
+                    found[frame] = hashlib.blake2b(repr(row).encode(), digest_size=16).digest()
+        return found
+
+    def detected_names(self) -> Mapping[int, Sequence[tuple[str, float]]]:
+        """Label and score of every detection, by frame, ascending."""
+        found: dict[int, Sequence[tuple[str, float]]] = {}
+        with reading(self._path, "the detections"):
+            for table in self._file.chunks(schema.DETECTIONS):
+                columns = table.cells("labels"), table.cells("scores")
+                for frame, labels, scores in zip(table.frames, *columns, strict=True):
+                    found[frame] = list(zip(labels, scores, strict=True))
+        return dict(sorted(found.items()))
+
     @cached_property
     def label_vectors(self) -> Mapping[str, Float32Array]:
         """Label -> the text feature (D,) that it was first detected with; labels without one are left out."""
@@ -238,27 +289,55 @@ class FrameTable:
     @property
     def with_truth(self) -> Sequence[int]:
         """Indices of the frames whose truth is recorded, ascending."""
-        return list(self._file.table(schema.TRUTH).last_of_frame)
+        return list(self._truths)
 
-    def truth(self, index: int) -> Truth | None:
-        """The simulator's truth of a frame, if there was any."""
-        table = self._file.table(schema.TRUTH)
-        row = table.last_of_frame.get(index)
-        if row is None:
+    def truth(self, index: int, *, lazy: bool = False) -> Truth | None:
+        """The simulator's truth of a frame, if there was any; `lazy`: instances are decoded on first use."""
+        if index not in self._truths:
+            return None
+
+        def instances() -> IntArray:
+            stored = self.encoded_truth(index)
+            with reading(self._path, f"the truth of frame {index}"):
+                if stored is None:
+                    raise ValueError("its instances are missing")
+                return decode_instances(*stored)
+
+        with reading(self._path, f"the truth of frame {index}"):
+            objects = self._objects_of(self._truths[index][0])
+        return LazyTruth(instances, objects) if lazy else Truth(instances(), objects)
+
+    def encoded_truth(self, index: int) -> tuple[bytes, tuple[int, int]] | None:
+        """The instances of a frame's truth as they are stored, with their (H, W); None if there are none."""
+        data = self._file.blob(schema.TRUTH.path, schema.TRUTH.component("instances"), index)
+        if data is None or index not in self._truths:
             return None
         with reading(self._path, f"the truth of frame {index}"):
-            shape = table.cell("instances_shape", row)
-            instances = decode_instances(table.value("instances", row), (shape[0], shape[1]))
-            return Truth(instances, truth_objects(self._truth_texts[index]))
+            height, width = self._truths[index][1]
+            return data, (int(height), int(width))
+
+    def _objects_of(self, text: str) -> tuple[TruthObject, ...]:
+        """The objects of a text; the latest are kept, for most frames say nothing new."""
+        if self._latest_objects[0] != text:
+            self._latest_objects = (text, truth_objects(text))
+        return self._latest_objects[1]
 
     @cached_property
-    def _truth_texts(self) -> Mapping[int, str]:
-        """The JSON of the truth's objects, by frame; a row says it only where it changed."""
-        table = self._file.table(schema.TRUTH)
-        objects = table.values("objects")
+    def _truths(self) -> Mapping[int, tuple[str, Sequence[Any]]]:
+        """The JSON of the truth's objects and the (H, W) of its instances, by frame, ascending.
+
+        A row says the objects only where they changed; the instances, which are large, stay on disk.
+        """
+        rows: dict[int, tuple[str | None, Sequence[Any]]] = {}
+        with reading(self._path, "the truth"):
+            for table in self._file.chunks(schema.TRUTH):
+                cells = table.values("objects"), table.cells("instances_shape")
+                rows |= {
+                    frame: (text, shape) for frame, text, shape in zip(table.frames, *cells, strict=True)
+                }
         latest = "[]"
-        texts: dict[int, str] = {}
-        for index, row in table.last_of_frame.items():
-            latest = objects[row] or latest
-            texts[index] = latest
-        return texts
+        found = {}
+        for frame, (text, shape) in sorted(rows.items()):
+            latest = text or latest
+            found[frame] = latest, shape
+        return found

@@ -1,4 +1,4 @@
-"""A recorded frame whose colours are decoded when somebody looks at them.
+"""A recorded frame whose colours and truth are decoded when somebody looks at them.
 
 Most frames of a replay go by without: the map takes depth and pose of every frame, colours of key frames.
 """
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dssmsg.frame import ByteArray, Frame, frozen_array
+from dssmsg.frame import ByteArray, Frame, IntArray, Truth, TruthObject, frozen_array
 
 _COPIED = (
     "index",
@@ -63,6 +63,26 @@ class LazyFrame(Frame):
         """The same frame with other fields; no colours are decoded for it."""
         fields = {name: getattr(self, name) for name in _COPIED}
         return LazyFrame(lambda: self.rgb, **{**fields, **changes})
+
+
+class LazyTruth(Truth):
+    """A `Truth` whose `instance_ids` (H, W) int32 are decoded when somebody looks at them."""
+
+    __slots__ = ("_instances",)
+    _instances: IntArray | Callable[[], IntArray]
+
+    def __init__(self, instance_ids: Callable[[], IntArray], objects: tuple[TruthObject, ...]) -> None:
+        object.__setattr__(self, "_instances", instance_ids)
+        object.__setattr__(self, "objects", objects)
+
+    if not TYPE_CHECKING:  # to a type checker it is the field that it stands for
+
+        @property
+        def instance_ids(self) -> IntArray:
+            """The instance of each pixel, decoded on first use."""
+            if callable(self._instances):
+                object.__setattr__(self, "_instances", self._instances())
+            return self._instances
 
 
 def looking(frame: Frame, at_stop: bool) -> Frame:

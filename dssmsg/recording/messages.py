@@ -24,7 +24,7 @@ TRAILER_BYTES = 12
 """The last bytes of a finished file; they begin with `FOOTER_MAGIC`."""
 
 _MESSAGE = struct.Struct("<QQ")
-_END = 0
+_END, _STORE_INFO = 0, 1
 _KINDS = range(16)  # few kinds exist; a number far above is no message header
 
 
@@ -74,6 +74,30 @@ class MessageFile:
     def close(self) -> None:
         """Close the file; safe to call twice."""
         self._file.close()
+
+
+class MessagePicker:
+    """Takes single messages out of a finished file. `first`: where the first one that is asked for lies."""
+
+    def __init__(self, path: Path, first: int) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            begin = [file.read(HEADER_BYTES)]
+            position = HEADER_BYTES
+            while position < first and len(head := file.read(_MESSAGE.size)) == _MESSAGE.size:
+                kind, length = _MESSAGE.unpack(head)
+                if kind not in _KINDS or position + length > first:
+                    break
+                if kind == _STORE_INFO:
+                    begin.append(head + file.read(length))
+                position = file.seek(position + _MESSAGE.size + length)
+        self._begin = b"".join(begin)
+
+    def alone(self, position: int, length: int) -> bytes:
+        """A stream with nothing but the message whose payload is so long and begins there."""
+        with self._path.open("rb") as file:
+            file.seek(position - _MESSAGE.size)
+            return self._begin + file.read(_MESSAGE.size + length)
 
 
 def messages_span(stream: bytes) -> tuple[int, int]:

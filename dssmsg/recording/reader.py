@@ -19,14 +19,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dssmsg.errors import InputError
-from dssmsg.frame import Camera, Detection, Float32Array, FloatArray, Frame, Truth
+from dssmsg.frame import ByteArray, Camera, Detection, Float32Array, FloatArray, Frame, Truth
 from dssmsg.graph.changes import Change
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.interfaces.source import Command
 from dssmsg.recording import schema
 from dssmsg.recording.change_log import ChangeLog
-from dssmsg.recording.columns import Blobs
 from dssmsg.recording.damage import json_object, reading
 from dssmsg.recording.frame_table import FrameFacts, FrameTable
 from dssmsg.recording.messages import has_footer
@@ -55,7 +57,7 @@ class Recording:
         file.migrations = migrations = self._checked_version()
         self.schema_version = migrations.version
         """The version of the schema that the file was written in; it is read as if of the present one."""
-        self._blobs = Blobs(lambda: file.table(schema.BLOBS))
+        self._blobs = file.blobs()
         self._frames = FrameTable(file, path, self._blobs)
         self.told = Told(file, path, migrations)
         """What else happened, as `dssmsg.events`: phases, windows, matches, episodes, errors and so on."""
@@ -188,6 +190,20 @@ class Recording:
         """
         return self._frames.frame(index, with_truth=with_truth, lazy=lazy)
 
+    def decoded_frame(
+        self, index: int, depth_mm: NDArray[np.uint16], rgb: ByteArray | None, *, with_truth: bool = False
+    ) -> Frame:
+        """A frame whose images somebody has decoded: depth (H, W) millimetres, rgb (H, W, 3) or None.
+
+        Colours that are not given, and the truth, are decoded on first use. Raises InputError if there is
+        no such frame.
+        """
+        return self._frames.decoded_frame(index, depth_mm, rgb, with_truth=with_truth)
+
+    def encoded_truth(self, index: int) -> tuple[bytes, tuple[int, int]] | None:
+        """The instances of a frame's truth as they are stored, with their (H, W); None if there are none."""
+        return self._frames.encoded_truth(index)
+
     def encoded_images(self, index: int) -> tuple[bytes, bytes] | None:
         """Colours and depth of a frame as they are stored; None if one of them is missing."""
         return self._frames.encoded_images(index)
@@ -255,6 +271,14 @@ class Recording:
         """The cells of a frame's row of `/detections` as they are stored; None where there is none."""
         return self._frames.detection_cells(index)
 
+    def detection_hashes(self) -> Mapping[int, bytes]:
+        """A hash of each frame's row of `/detections`, to be compared; masks stay on disk."""
+        return self._frames.detection_hashes()
+
+    def detected_names(self) -> Mapping[int, Sequence[tuple[str, float]]]:
+        """Label and score of every detection, by frame, ascending; masks stay on disk."""
+        return self._frames.detected_names()
+
     def label_vectors(self) -> Mapping[str, Float32Array]:
         """The text feature (D,), a unit vector, that each label was detected with, if any."""
         return self._frames.label_vectors
@@ -301,6 +325,10 @@ class Recording:
     ) -> Iterator[Json]:
         """The JSON row of every such change, arrays as hashes: enough to count, search and explain."""
         return self._changes.rows(about=about, kinds=kinds, after=after)
+
+    def change_texts(self) -> Iterator[str]:
+        """The JSON of every change as it is stored: to tell equal ones without reading them."""
+        return self._changes.texts()
 
     def change_counts(self) -> dict[str, int]:
         """How many changes of each kind can be folded, kinds sorted."""

@@ -171,11 +171,15 @@ def truth_objects(text: str) -> tuple[TruthObject, ...]:
     )
 
 
-def truth_row(truth: Truth, objects: str | None) -> Row:
-    """A row of `/truth`; `objects` is their JSON where it changed, else None."""
+def truth_row(truth: Truth, objects: str | None, stored: tuple[bytes, tuple[int, int]] | None = None) -> Row:
+    """A row of `/truth`; `objects` is their JSON where it changed, else None.
+
+    `stored`: the instances of the same frame as bytes, with their (H, W), where a recording has them.
+    """
+    data, shape = stored or (encode_instances(truth.instance_ids), truth.instance_ids.shape)
     return {
-        "instances": encode_instances(truth.instance_ids),
-        "instances_shape": truth.instance_ids.shape,
+        "instances": data,
+        "instances_shape": shape,
         "objects": objects,
     }
 

@@ -7,21 +7,24 @@ simulator.
 from __future__ import annotations
 
 import warnings
-from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
 from dssmsg.errors import InputError
+from dssmsg.recording import schema
+from dssmsg.recording.blob_column import BlobColumn, IndexedBlobs, frames_of_rows, texts_of_rows
+from dssmsg.recording.chunk_index import ChunkIndex, Place
 from dssmsg.recording.columns import ColumnTable, component_of
 from dssmsg.recording.migrations import Migrations
 from dssmsg.recording.schema import FRAME, Table
 
-_KEPT_BYTES = 256_000_000
+_KEPT_BLOBS_BYTES = 96_000_000
+"""What the graph refers to is asked for in about the order of time, so that little needs to be kept."""
 
 
 class ChunkFile:
@@ -44,7 +47,7 @@ class ChunkFile:
         self.migrations: Migrations | None = None
         """What the tables go through as they are read; set by who knows the file's version."""
         self._tables: dict[str, ColumnTable] = {}
-        self._blobs: dict[str, _BlobColumn] = {}
+        self._blobs: dict[str, BlobColumn[int]] = {}
 
     def table(self, table: Table) -> ColumnTable:
         """The rows of a table; without rows where the file has none of it."""
@@ -75,8 +78,33 @@ class ChunkFile:
     def blob(self, path: str, component: str, frame: int) -> bytes | None:
         """The bytes that an entity's component holds at exactly this frame; None if there are none."""
         if path not in self._blobs:
-            self._blobs[path] = _BlobColumn(partial(self._batches, path), component)
+            self._blobs[path] = self._blobs_of(path, component)
         return self._blobs[path].get(frame)
+
+    def _blobs_of(self, path: str, component: str) -> BlobColumn[int]:
+        batches, index = partial(self._batches, path), self._index
+        if index is None:
+            return BlobColumn(batches, component, frames_of_rows)
+
+        def read(place: Place) -> pa.RecordBatch | None:
+            with self._rerun(f"damaged: {path} does not read"):
+                return index.read(place)
+
+        return IndexedBlobs(index.places(path), component, read)
+
+    @cached_property
+    def _index(self) -> ChunkIndex | None:
+        return ChunkIndex.of(self.path, self._store)
+
+    def blobs(self) -> BlobColumn[str]:
+        """The bytes of `/blobs`, by hash."""
+        table = schema.BLOBS
+        return BlobColumn(
+            partial(self._batches, table.path),
+            table.component("data"),
+            partial(texts_of_rows, table.component("hash")),
+            keeps_bytes=_KEPT_BLOBS_BYTES,
+        )
 
     def frames_of(self, path: str, component: str) -> frozenset[int]:
         """The frames at which an entity's component has a row; nothing is kept in memory."""
@@ -104,73 +132,3 @@ class ChunkFile:
             if type(error).__name__ != "PanicException":
                 raise
             raise InputError(f"{problem} ({error})", file=self._shown_path) from None
-
-
-class _BlobColumn:
-    """One binary value a frame, found by frame index.
-
-    Chunks are read in the order of the file, which is about that of time, and as many of the latest kept as
-    fit `_KEPT_BYTES`: a run of minutes is in memory once, of an hour's images only what was asked for lately.
-    """
-
-    def __init__(self, batches: Callable[[], Iterator[pa.RecordBatch]], component: str) -> None:
-        self._batches = batches
-        self._component = component
-        self._kept: OrderedDict[int, tuple[dict[int, int], pa.ListArray]] = OrderedDict()
-        self._kept_bytes = 0
-        self._chunk_of: dict[int, int] = {}  # of every frame met so far, those too whose chunk is forgotten
-        self._all_met = False
-        self._restart()
-
-    def get(self, frame: int) -> bytes | None:
-        """The bytes of a frame; None if it has none."""
-        number = self._chunk_of.get(frame)
-        if number not in self._kept:
-            if number is None and self._all_met:
-                return None
-            if number is not None and number < self._next:
-                self._restart()
-            number = self._read_on(frame)
-        return None if number is None else self._bytes(number, frame)
-
-    def _restart(self) -> None:
-        self._rest = self._batches()
-        self._next = 0
-
-    def _read_on(self, frame: int) -> int | None:
-        """Read until the chunk of a frame comes; its number, None if it does not."""
-        for batch in self._rest:
-            number = self._next
-            self._next += 1
-            if frame in self._keep(number, batch):
-                return number
-        self._all_met = True
-        self._restart()
-        return None
-
-    def _keep(self, number: int, batch: pa.RecordBatch) -> Mapping[int, int]:
-        names = [component_of(field) for field in batch.schema]
-        times = batch.schema.get_field_index(FRAME)
-        if self._component not in names or times < 0:
-            return {}
-        rows = {frame: row for row, frame in enumerate(batch.column(times).to_pylist())}
-        self._chunk_of |= dict.fromkeys(rows, number)
-        column = batch.column(names.index(self._component))
-        if number not in self._kept:
-            self._kept_bytes += column.nbytes
-        self._kept[number] = (rows, column)
-        while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
-            self._kept_bytes -= self._kept.popitem(last=False)[1][1].nbytes
-        return rows
-
-    def _bytes(self, number: int, frame: int) -> bytes | None:
-        self._kept.move_to_end(number)
-        rows, column = self._kept[number]
-        cell = column[rows[frame]].values
-        if cell is None or len(cell) == 0:
-            return None
-        first = cell[0]
-        if isinstance(first, (pa.BinaryScalar, pa.LargeBinaryScalar)):
-            data: bytes = first.as_py()
-            return data
-        return bytes(first.values.to_numpy(zero_copy_only=True))

@@ -59,7 +59,7 @@ class Told:
     def windows_about(self, ids: Collection[str]) -> Iterator[events.WindowEvaluated]:
         """Those windows that have evidence of, or a verdict on, one of these objects; no other is decoded."""
         quoted = [f'"{name}"' for name in ids]
-        texts = self._file.table(schema.WINDOWS).values("json")
+        texts = self._file.table(schema.WINDOWS).stream("json")
         for number, text in enumerate(texts, 1):
             with reading(self._path, f"row {number} of {schema.WINDOWS.path}"):
                 if any(name in text for name in quoted):
@@ -124,14 +124,14 @@ class Told:
     def json(self, table: schema.Table) -> list[Json]:
         """The JSON values of a table's rows, brought up to the present schema."""
         found = []
-        for number, text in enumerate(self._file.table(table).values("json"), 1):
+        for number, text in enumerate(self._file.table(table).stream("json"), 1):
             with reading(self._path, f"row {number} of {table.path}"):
                 found.append(self._migrations.row(table, _object(text)))
         return found
 
-    def texts(self, table: schema.Table) -> list[str]:
+    def texts(self, table: schema.Table) -> Iterator[str]:
         """The JSON of a table's rows as it is stored: to tell equal rows without reading them."""
-        return ["" if text is None else str(text) for text in self._file.table(table).values("json")]
+        return ("" if text is None else str(text) for text in self._file.table(table).stream("json"))
 
     def _rows(self, table: schema.Table, make: Callable[[Json], T]) -> list[T]:
         found = []

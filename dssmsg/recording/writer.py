@@ -72,8 +72,7 @@ class RecordingWriter:
         # Not Rerun's own file sink: it truncates what is there, and waits for ever on a disk that is full.
         self._bytes = rr.binary_stream(self._stream)
         self._book = SheetBook(self._stream)
-        copies = None if self._copied is None else self._copied.encoded_images
-        self._camera = CameraLog(self._book, images, quality, copies)
+        self._camera = CameraLog(self._book, images, quality, self._copied)
         self._graph = SceneGraph()
         self._snapshots = SnapshotKeeper()
         self._scene = SceneLog(self._stream)

@@ -77,7 +77,7 @@ def diagnose(recording: ReviewedRecording, episode: int, rules: Sequence[tuple[s
             )
     found.sort(key=lambda one: -one.finding.confidence)
     needed = SURE if case.failed else VERY_SURE
-    borne_out = case.outcome == "success" and case.truly_reached is True
+    borne_out = not case.failed and case.truly_reached is True
     sure = bool(found) and found[0].finding.confidence >= needed and not borne_out
     verdict = FAULT if sure else CANNOT_TELL if case.failed else NO_FAULT
     lead = found[0].finding if sure else None
@@ -106,6 +106,8 @@ def _note(case: EpisodeCase) -> str:
     """What a reader must know beside the findings."""
     if case.asks_for_nothing_there:
         return f"by the recorded truth there is no {' or '.join(sorted(case.wanted))}: nothing could be found"
+    if case.touched is not None:
+        return f"the robot touched something at frame {case.touched.frame}"
     return ""
 
 

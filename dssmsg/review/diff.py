@@ -7,15 +7,19 @@ or two runs of their own.
 from __future__ import annotations
 
 import json
+from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import zip_longest
 from statistics import fmean
 from typing import Any
 
+from dssmsg.recording.damage import reading
 from dssmsg.recording.reader import Recording
-from dssmsg.review.diff_first import Divergence, first_divergence
+from dssmsg.review.diff_first import first_divergence
 from dssmsg.review.diff_objects import ObjectDifference, compare_objects, placed
+from dssmsg.review.divergence import Divergence
 
 Json = dict[str, Any]
 
@@ -241,37 +245,59 @@ def _both(a: Mapping[str, int], b: Mapping[str, int]) -> dict[str, tuple[int, in
     return {kind: (a.get(kind, 0), b.get(kind, 0)) for kind in sorted({*a, *b})}
 
 
+@dataclass(slots=True)
+class _Scores:
+    """The values of a score that a rule gave, and their distances to the threshold."""
+
+    values: array[float] = field(default_factory=lambda: array("d"))
+    margins: array[float] = field(default_factory=lambda: array("d"))
+
+
+_RuleTable = dict[tuple[str, str], _Scores]
+
+
 def _rules(a: Recording, b: Recording) -> tuple[Rule, ...]:
     """The rules whose figures differ, by the name of their plug-in."""
-    tables = _rule_tables(a), _rule_tables(b)
+    tables = _rule_tables(a, b)
     found = []
     for key in sorted({*tables[0], *tables[1]}):
-        (values_a, margins_a), (values_b, margins_b) = (table.get(key, ([], [])) for table in tables)
-        if (values_a, margins_a) == (values_b, margins_b):
+        ours, theirs = (table.get(key, _Scores()) for table in tables)
+        if ours == theirs:
             continue
         found.append(
             Rule(
                 *key,
-                len(values_a),
-                len(values_b),
-                *(round(fmean(values), 4) if values else None for values in (values_a, values_b)),
-                *(round(min(margins), 4) if margins else None for margins in (margins_a, margins_b)),
+                len(ours.values),
+                len(theirs.values),
+                *(round(fmean(one.values), 4) if one.values else None for one in (ours, theirs)),
+                *(round(min(one.margins), 4) if one.margins else None for one in (ours, theirs)),
             )
         )
     return tuple(found)
 
 
-def _rule_tables(recording: Recording) -> dict[tuple[str, str], tuple[list[float], list[float]]]:
-    """(plug-in and rule, score) -> its values and its distances to the threshold."""
-    table: dict[tuple[str, str], tuple[list[float], list[float]]] = {}
-    for row in recording.change_rows():
-        cause = row["cause"]
-        for name, value, limit in row["scores"]:
-            values, margins = table.setdefault((f"{cause['plugin']}: {cause['rule']}", name), ([], []))
-            values.append(value)
-            if limit is not None:
-                margins.append(abs(value - limit))
-    return table
+def _rule_tables(a: Recording, b: Recording) -> tuple[_RuleTable, _RuleTable]:
+    """(plug-in and rule, score) -> what was decided by it, in either run."""
+    tables: tuple[_RuleTable, _RuleTable] = {}, {}
+    for texts in zip_longest(a.change_texts(), b.change_texts()):
+        row: Json = {}
+        for place, (recording, text) in enumerate(zip((a, b), texts, strict=True)):
+            if text is None:
+                continue
+            with reading(recording.path, "the changes"):
+                if place == 0 or text != texts[0]:  # most changes of two runs are the same
+                    row = json.loads(text)
+                _add_scores(tables[place], row)
+    return tables
+
+
+def _add_scores(table: _RuleTable, row: Json) -> None:
+    cause = row["cause"]
+    for name, value, limit in row["scores"]:
+        scores = table.setdefault((f"{cause['plugin']}: {cause['rule']}", name), _Scores())
+        scores.values.append(value)
+        if limit is not None:
+            scores.margins.append(abs(value - limit))
 
 
 def _queries(ours: Sequence[Json], theirs: Sequence[Json]) -> tuple[Query, ...]:

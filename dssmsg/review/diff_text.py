@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from dssmsg.review.diff import Difference, Query, Setting, Side
-from dssmsg.review.diff_first import Divergence, Term
 from dssmsg.review.diff_objects import ObjectBrief
+from dssmsg.review.divergence import Divergence, Term
 
 MAX_ROWS = 15
 """Rows of a list that are told; the rest is counted."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dssmsg.errors import InputError
-from dssmsg.frame import Truth, TruthObject
+from dssmsg.frame import Frame, Truth, TruthObject
 from dssmsg.graph.nodes import DISAPPEARED
 from dssmsg.interfaces.source import Command
 from dssmsg.recording.reader import Recording
@@ -58,6 +58,10 @@ class ReviewedRecording(Recording):
         """The simulator's truth of a frame, unless it is hidden."""
         return None if self.hides_truth else super().truth(index)
 
+    def frame(self, index: int, *, with_truth: bool = False, lazy: bool = True) -> Frame:
+        """A frame; rules look at its depth, so that colours are read and decoded on first use."""
+        return super().frame(index, with_truth=with_truth, lazy=lazy)
+
     @cached_property
     def has_truth(self) -> bool:
         """Whether there is any truth to use."""
@@ -71,13 +75,12 @@ class ReviewedRecording(Recording):
     @cached_property
     def seen(self) -> Mapping[int, tuple[Seen, ...]]:
         """What was detected, by key frame."""
-        found = {}
-        for frame in self.key_frames:
-            cells = self.detection_cells(frame)
-            if cells is not None:
-                told = zip(cells["labels"], cells["scores"], strict=True)
-                found[frame] = tuple(Seen(i, label, score) for i, (label, score) in enumerate(told))
-        return found
+        keys = set(self.key_frames)
+        return {
+            frame: tuple(Seen(i, label, score) for i, (label, score) in enumerate(told))
+            for frame, told in self.detected_names().items()
+            if frame in keys
+        }
 
     @cached_property
     def labels(self) -> Counter[str]:
@@ -268,9 +271,14 @@ class EpisodeCase:
         return int(np.count_nonzero(np.isin(truth.instance_ids, list(instances)) & near))
 
     @cached_property
+    def touched(self) -> Move | None:
+        """The first move in which the robot touched something; None if it never did."""
+        return next((move for move in self.moves if move.collided), None)
+
+    @cached_property
     def failed(self) -> bool:
-        """Whether it went wrong: it failed, or was content with something that is no answer."""
-        return self.outcome != "success" or self.is_mistaken
+        """Whether it went wrong: it failed, touched something, or was content with what is no answer."""
+        return self.outcome != "success" or self.is_mistaken or self.touched is not None
 
     @cached_property
     def is_mistaken(self) -> bool:

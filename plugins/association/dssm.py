@@ -4,8 +4,8 @@ One step, one method: candidates by spatial index, score every pair, assign one-
 assignment into changes, now and then join what was split, and say which objects are believed. The scores
 themselves are in `dssmsg.graph.scoring`, the merge pass is in `dssmsg.graph.joining`.
 
-Of its own it keeps which objects were touched since the last merge pass, and the frames' votes on what belongs
-to an object (`dssmsg.graph.extent`).
+Of its own it keeps which objects were touched since the last merge pass, and the frames' votes on what
+belongs to an object (`dssmsg.graph.extent`).
 """
 
 from __future__ import annotations

@@ -10,7 +10,8 @@ from pydantic import Field
 from dssmsg.errors import InputError
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.diagnosis import Decision, Finding
-from dssmsg.review.episode import EpisodeCase, ReviewedRecording
+from dssmsg.review.episode import EpisodeCase
+from dssmsg.review.episode_rule import EpisodeRule
 from dssmsg.review.episode_truth import spread
 
 LAYER = "environment"
@@ -26,23 +27,17 @@ class Config(PluginConfig):
     lost_share: float = Field(0.2, gt=0, le=1, description="In this share of them readings must be missing.")
 
 
-class DepthRule:
+class DepthRule(EpisodeRule[Config]):
     """Looks at some depth images."""
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
-
-    def diagnose(self, recording: ReviewedRecording, episode: int | None) -> Sequence[Finding]:
+    def findings(self, case: EpisodeCase) -> Sequence[Finding]:
         """One finding where depth was lost in a good part of the frames, or in those of the episode."""
-        if episode is None:
-            return ()
-        case = recording.case(episode)
-        asked = [f for f in recording.key_frames if f <= case.last]
-        half = self._config.frames // 2
+        asked = [f for f in case.recording.key_frames if f <= case.last]
+        half = self.config.frames // 2
         chosen = sorted({*spread(asked, half), *spread([*case.frames], half)})
         shares = {frame: share for frame in chosen if (share := _read(case, frame)) is not None}
-        lost = [frame for frame, share in shares.items() if share < self._config.read_share]
-        if len(lost) < max(2, self._config.lost_share * len(shares)):
+        lost = [frame for frame, share in shares.items() if share < self.config.read_share]
+        if len(lost) < max(2, self.config.lost_share * len(shares)):
             return ()
         frame = self._first(case, lost[0], [f for f in shares if f < lost[0]])
         return [
@@ -52,7 +47,7 @@ class DepthRule:
                 0.95,
                 f"{len(lost)} of {len(shares)} depth images that were looked at have hardly a reading",
                 tuple(f"frame {f}: {shares[f]:.0%} of the pixels have depth" for f in lost[:4]),
-                decision=Decision("share of pixels with a reading", shares[lost[0]], self._config.read_share),
+                decision=Decision("share of pixels with a reading", shares[lost[0]], self.config.read_share),
             )
         ]
 
@@ -63,7 +58,7 @@ class DepthRule:
         while len(frames) > 1:
             middle = (len(frames) - 1) // 2
             share = _read(case, frames[middle])
-            if share is not None and share < self._config.read_share:
+            if share is not None and share < self.config.read_share:
                 frames = frames[: middle + 1]
             else:
                 frames = frames[middle + 1 :]
@@ -82,4 +77,4 @@ def _read(case: EpisodeCase, frame: int) -> float | None:
 @hookimpl
 def register_diagnosis(register: Register) -> None:
     """`depth`: readings of the depth camera."""
-    register("depth", lambda config, context: DepthRule(config), config=Config)
+    register("depth", DepthRule, config=Config)

@@ -9,7 +9,8 @@ from pydantic import Field
 
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.diagnosis import Decision, Finding
-from dssmsg.review.episode import EpisodeCase, ReviewedRecording, same_thing
+from dssmsg.review.episode import EpisodeCase, same_thing
+from dssmsg.review.episode_rule import EpisodeRule
 from dssmsg.review.episode_truth import by_name, true_name, true_sights
 
 LAYER = "detector"
@@ -29,18 +30,12 @@ class Config(PluginConfig):
     )
 
 
-class DetectionRule:
+class DetectionRule(EpisodeRule[Config]):
     """By the truth: the key frames that show an answer. Without: was its name ever given to anything?"""
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
-
-    def diagnose(self, recording: ReviewedRecording, episode: int | None) -> Sequence[Finding]:
+    def findings(self, case: EpisodeCase) -> Sequence[Finding]:
         """At most two findings: the target missed or misnamed; something else given its name."""
-        if episode is None or not recording.key_frames:
-            return ()
-        case = recording.case(episode)
-        if not case.wanted:
+        if not case.wanted or not case.recording.key_frames:
             return ()
         if case.answers:
             return [*self._missed(case), *self._misnamed(case)]
@@ -50,11 +45,11 @@ class DetectionRule:
         """Key frames that truly show an answer, without a detection by its name."""
         sights = true_sights(case)
         frames = sorted({sight.frame for sight in sights})
-        if len(frames) < self._config.min_views:
+        if len(frames) < self.config.min_views:
             return
         good = {s.frame for s in sights if any(same_thing(name, case.wanted) for name in s.names)}
         share = len(good) / len(frames)
-        if share >= self._config.found_share:
+        if share >= self.config.found_share:
             return
         names = Counter(n for s in sights for n in s.names if not same_thing(n, case.wanted))
         called = ", ".join(f"{name} {count} times" for name, count in names.most_common(3))
@@ -62,7 +57,7 @@ class DetectionRule:
         yield Finding(
             LAYER,
             next(frame for frame in frames if frame not in good),
-            min(0.95, 0.6 + 0.4 * (1 - share / self._config.found_share)),
+            min(0.95, 0.6 + 0.4 * (1 - share / self.config.found_share)),
             f"a {what} was truly in view in {len(frames)} key frames and detected as such in {len(good)}"
             + (f"; it was called {called}" if names else "; nothing was detected there"),
             tuple(
@@ -71,7 +66,7 @@ class DetectionRule:
                 for s in sights[:4]
             ),
             decision=Decision(
-                "share of key frames that show it with a detection", share, self._config.found_share
+                "share of key frames that show it with a detection", share, self.config.found_share
             ),
             basis="truth",
         )
@@ -90,7 +85,7 @@ class DetectionRule:
             asked += 1
             if same_thing(sighting.label, case.wanted) and not same_thing(truth[name].label, case.wanted):
                 wrong.append((sighting, name))
-        if asked < self._config.min_views or len(wrong) < 0.5 * asked:
+        if asked < self.config.min_views or len(wrong) < 0.5 * asked:
             return
         first, name = wrong[0]
         yield Finding(
@@ -115,7 +110,7 @@ class DetectionRule:
         yield Finding(
             LAYER,
             case.recording.key_frames[0],
-            self._config.never_confidence,
+            self.config.never_confidence,
             f"nothing in {frames} key frames was called {what}: it was missed or misnamed, or there is none",
             (f"frame {case.recording.key_frames[0]}: the first of {frames} key frames without a {what}",),
             decision=Decision(f"detections called {what}", 0.0, 1.0),
@@ -125,4 +120,4 @@ class DetectionRule:
 @hookimpl
 def register_diagnosis(register: Register) -> None:
     """`detection`: what is in view against what was detected."""
-    register("detection", lambda config, context: DetectionRule(config), config=Config)
+    register("detection", DetectionRule, config=Config)

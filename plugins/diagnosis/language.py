@@ -10,6 +10,7 @@ from pydantic import Field
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.diagnosis import Finding
 from dssmsg.review.episode import EpisodeCase, same_thing, words_of
+from dssmsg.review.episode_rule import EpisodeRule
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
@@ -26,18 +27,15 @@ class Config(PluginConfig):
     )
 
 
-class LanguageRule:
+class LanguageRule(EpisodeRule[Config]):
     """Holds the target graph against the sentence, by its own words and by the offline tables."""
 
-    def __init__(self, config: Config, context: Context) -> None:
-        self._config = config
+    def __init__(self, config: Config, context: Context | None = None) -> None:
+        super().__init__(config, context)
         self._targets: Any = None
 
-    def diagnose(self, recording: Any, episode: int | None) -> Sequence[Finding]:
+    def findings(self, case: EpisodeCase) -> Sequence[Finding]:
         """At most one finding."""
-        if episode is None:
-            return ()
-        case: EpisodeCase = recording.case(episode)
         if case.match is None:
             return [_no_target(case)] if case.reason == NO_TARGET else ()
         core, words = words_of(case.core), words_of(case.goal)
@@ -53,13 +51,13 @@ class LanguageRule:
         named = {node["label"] for node in read["nodes"]} & {
             n["label"] for n in case.match["target"]["nodes"]
         }
-        sure = self._config.reread_confidence * (0.6 if named else 1.0)
+        sure = self.config.reread_confidence * (0.6 if named else 1.0)
         label = read["nodes"][read["core"]]["label"]
         return [_finding(case, sure, f"the offline tables read {label} in it")]
 
     def _reading(self, goal: str) -> Mapping[str, Any] | None:
         """The target graph of the offline tables; None where they understand nothing."""
-        if not self._config.reread:
+        if not self.config.reread:
             return None
         from dssmsg.lexicon.tables import load_tables
         from dssmsg.lexicon.target import NoTarget, Targets

@@ -9,8 +9,9 @@ from pydantic import Field
 
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.diagnosis import Decision, Finding
-from dssmsg.review.episode import EpisodeCase, ReviewedRecording, same_thing
+from dssmsg.review.episode import EpisodeCase, same_thing
 from dssmsg.review.episode_map import ObjectHistory
+from dssmsg.review.episode_rule import EpisodeRule
 
 WEIGHTS = {
     "s_core": "core_weight",
@@ -30,15 +31,12 @@ class Config(PluginConfig):
     )
 
 
-class MatchingRule:
+class MatchingRule(EpisodeRule[Config]):
     """Adds the recorded terms up again, checks the order, and looks for a better answer in the map."""
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
-
-    def diagnose(self, recording: ReviewedRecording, episode: int | None) -> Sequence[Finding]:
+    def findings(self, case: EpisodeCase) -> Sequence[Finding]:
         """Findings of all checks that do not hold."""
-        if episode is None or (case := recording.case(episode)).match is None:
+        if case.match is None:
             return ()
         if not case.candidates:
             return [*self._nothing_found(case)]
@@ -52,7 +50,7 @@ class MatchingRule:
         target = case.match["target"] if case.match else {}
         for one in case.candidates:
             expected = _score(one["scores"], options, target)
-            if expected is None or abs(expected - one["scores"]["score"]) <= self._config.tolerance:
+            if expected is None or abs(expected - one["scores"]["score"]) <= self.config.tolerance:
                 continue
             value = one["scores"]["score"]
             terms = ", ".join(f"{k} {v:.3f}" for k, v in one["scores"].items() if k.startswith("s_"))
@@ -72,7 +70,7 @@ class MatchingRule:
             return
         first, best = scored[0], max(scored, key=lambda one: one["scores"]["score"])
         value, against = first["scores"]["score"], best["scores"]["score"]
-        if against - value > self._config.tolerance:
+        if against - value > self.config.tolerance:
             yield self._finding(
                 case,
                 0.9,
@@ -122,7 +120,7 @@ class MatchingRule:
             )
         yield self._finding(
             case,
-            self._config.passed_over,
+            self.config.passed_over,
             f"{label} was taken for the {case.core}, though there is {better[0].id} ({better[0].label(at)})",
             [f"{first['viewpoint']} won: {first['reason']}"],
             decision,
@@ -197,4 +195,4 @@ def _there(case: EpisodeCase, frame: int) -> list[ObjectHistory]:
 @hookimpl
 def register_diagnosis(register: Register) -> None:
     """`matching`: the target graph against the map."""
-    register("matching", lambda config, context: MatchingRule(config), config=Config)
+    register("matching", MatchingRule, config=Config)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -11,9 +12,11 @@ from pydantic import Field
 from dssmsg.graph.nodes import DISAPPEARED
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.diagnosis import Decision, Finding
-from dssmsg.review.episode import EpisodeCase, ReviewedRecording
+from dssmsg.review.episode import EpisodeCase
+from dssmsg.review.episode_rule import EpisodeRule
 
 LAYER = "planner"
+_VIEWPOINT = re.compile(r"viewpoint-[0-9.]*[0-9]")
 
 
 class Config(PluginConfig):
@@ -24,17 +27,11 @@ class Config(PluginConfig):
     )
 
 
-class RouteRule:
+class RouteRule(EpisodeRule[Config]):
     """Plans over the recorded map once more, and looks where the drive ended."""
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
-
-    def diagnose(self, recording: ReviewedRecording, episode: int | None) -> Sequence[Finding]:
+    def findings(self, case: EpisodeCase) -> Sequence[Finding]:
         """Findings: no way found where there is one; another goal than asked; arrived somewhere else."""
-        if episode is None:
-            return ()
-        case = recording.case(episode)
         if not case.candidates:
             return ()
         return [*self._no_path(case), *self._other_goal(case), *self._elsewhere(case)]
@@ -49,7 +46,7 @@ class RouteRule:
         x, y, _ = case.recording.base_pose(frame)
         away = {name: math.dist((x, y), place) for name, place in history.places.items()}
         nearest = sorted(away, key=lambda name: away[name])[:3]
-        nearest = [name for name in nearest if name == nearest[0] or away[name] <= self._config.near]
+        nearest = [name for name in nearest if name == nearest[0] or away[name] <= self.config.near]
         for one in case.candidates[:5]:
             goal = history.viewpoints.get(one["viewpoint"])
             start = next((w for w in nearest if goal and history.connected(w, goal, frame)), None)
@@ -62,7 +59,7 @@ class RouteRule:
                 f"no way was found to {one['viewpoint']}, though free edges lead from {start} to {goal}",
                 (f"frame {frame}: {end['state']} {end['detail']}" if end else f"frame {frame}: gave up",),
                 focus=str(goal),
-                decision=Decision("metres to the waypoint it begins at", away[start], self._config.near),
+                decision=Decision("metres to the waypoint it begins at", away[start], self.config.near),
             )
             return
 
@@ -71,21 +68,21 @@ class RouteRule:
         history = case.recording.history
         best = next((one for one in case.candidates if _worth_trying(case, one)), case.candidates[0])
         goal = history.viewpoints.get(best["viewpoint"])
-        row = next((row for row in case.driving if row["path"]), None)
-        if row is None or goal is None or row["path"][-1] == goal:
+        row, way = next(((row, way) for row in case.driving if (way := _way(case, row))), (None, ()))
+        if row is None or goal is None or way[-1] == goal:
             return
-        if not history.connected(row["path"][0], goal, row["frame"]):
+        if not history.connected(way[0], goal, row["frame"]):
             return
         yield Finding(
             LAYER,
             row["frame"],
             0.85,
-            f"the way leads to {row['path'][-1]}, though free edges lead to {goal}, the best candidate's",
+            f"the way leads to {way[-1]}, though free edges lead to {goal}, the best candidate's",
             (
                 f"frame {row['frame']}: {best['viewpoint']} at {goal} came first: {best['reason']}",
-                f"frame {row['frame']}: {row['state']} {row['detail']} of a way to {row['path'][-1]}",
+                f"frame {row['frame']}: {row['state']} {row['detail']} of a way to {way[-1]}",
             ),
-            focus=row["path"][-1],
+            focus=way[-1],
         )
 
     def _elsewhere(self, case: EpisodeCase) -> Iterator[Finding]:
@@ -96,7 +93,7 @@ class RouteRule:
             return
         x, y, _ = case.recording.base_pose(looks[-1])
         away = math.dist((x, y), goal)
-        if away > self._config.near:
+        if away > self.config.near:
             yield Finding(
                 LAYER,
                 looks[-1],
@@ -104,8 +101,17 @@ class RouteRule:
                 f"it looked for the target {away:.1f} m away from {case.driven_to}, its viewpoint",
                 (f"frame {looks[-1]}: at ({x:.2f}, {y:.2f}) m, not ({goal[0]:.2f}, {goal[1]:.2f}) m",),
                 focus=case.driven_to,
-                decision=Decision("metres from the viewpoint", away, self._config.near),
+                decision=Decision("metres from the viewpoint", away, self.config.near),
             )
+
+
+def _way(case: EpisodeCase, row: Mapping[str, Any]) -> Sequence[str]:
+    """The waypoints ahead; who looks along a viewpoint without having driven is there. Empty if unknown."""
+    if row["path"]:
+        return [str(name) for name in row["path"]]
+    viewpoint = _VIEWPOINT.search(row["detail"]) if row["state"] == "look" else None
+    there = case.recording.history.viewpoints.get(viewpoint.group()) if viewpoint else None
+    return () if there is None else (there,)
 
 
 def _worth_trying(case: EpisodeCase, candidate: Mapping[str, Any]) -> bool:
@@ -118,4 +124,4 @@ def _worth_trying(case: EpisodeCase, candidate: Mapping[str, Any]) -> bool:
 @hookimpl
 def register_diagnosis(register: Register) -> None:
     """`route`: the planned way against the map."""
-    register("route", lambda config, context: RouteRule(config), config=Config)
+    register("route", RouteRule, config=Config)

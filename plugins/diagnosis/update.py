@@ -10,8 +10,9 @@ from dssmsg.graph.nodes import DISAPPEARED
 from dssmsg.graph.verdicts import MISSED, PRESENT, SEEN
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.diagnosis import Decision, Finding
-from dssmsg.review.episode import EpisodeCase, ReviewedRecording, same_thing
+from dssmsg.review.episode import EpisodeCase, same_thing
 from dssmsg.review.episode_map import Fact, ObjectHistory
+from dssmsg.review.episode_rule import EpisodeRule
 from dssmsg.review.episode_truth import gap_to
 
 LAYER = "update"
@@ -26,17 +27,11 @@ class Config(PluginConfig):
     )
 
 
-class UpdateRule:
+class UpdateRule(EpisodeRule[Config]):
     """Holds verdicts on the sought objects against the evidence of the windows, and against the truth."""
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
-
-    def diagnose(self, recording: ReviewedRecording, episode: int | None) -> Sequence[Finding]:
+    def findings(self, case: EpisodeCase) -> Sequence[Finding]:
         """Findings: called gone though it is there; left in though it is gone."""
-        if episode is None:
-            return ()
-        case = recording.case(episode)
         if not case.wanted:
             return ()
         return [*self._called_gone(case), *self._left_in(case)]
@@ -50,7 +45,7 @@ class UpdateRule:
             if verdict is None:
                 continue
             if case.answers:
-                near = [a for a in case.answers if gap_to(a, thing.box) < self._config.apart / 2]
+                near = [a for a in case.answers if gap_to(a, thing.box) < self.config.apart / 2]
                 if near and near[0].state not in ("moved", "appeared"):
                     yield self._finding(
                         thing, verdict, 0.9, f"{near[0].name} truly stands in its place", (), truth=True
@@ -58,10 +53,10 @@ class UpdateRule:
                 continue
             missed = _frames(case, thing.id, (MISSED,), verdict.frame)
             shown = [f for f in _frames(case, thing.id, (SEEN, PRESENT), case.last) if f >= verdict.frame]
-            if len(missed) < self._config.frames:
+            if len(missed) < self.config.frames:
                 counted = f"only {len(missed)} key frames showed its place free"
                 yield self._finding(thing, verdict, 0.85, counted, shown, held=float(len(missed)))
-            elif len(shown) >= self._config.frames:
+            elif len(shown) >= self.config.frames:
                 yield self._finding(
                     thing, verdict, 0.7, f"{len(shown)} later key frames showed it in its place", shown
                 )
@@ -88,7 +83,7 @@ class UpdateRule:
             focus=thing.id,
             decision=None
             if held is None
-            else Decision("key frames that showed its place free", held, float(self._config.frames)),
+            else Decision("key frames that showed its place free", held, float(self.config.frames)),
             basis="truth" if truth else "recording",
         )
 
@@ -102,21 +97,21 @@ class UpdateRule:
             if not thing.is_there(at) or not same_thing(thing.label(at), case.wanted):
                 continue
             missed = _frames(case, thing.id, (MISSED,), at)
-            if len(missed) < self._config.frames:
+            if len(missed) < self.config.frames:
                 continue
-            if any(gap_to(answer, thing.box) < self._config.apart for answer in case.answers):
+            if any(gap_to(answer, thing.box) < self.config.apart for answer in case.answers):
                 continue
             sure = 0.8 if driven is thing else 0.7
             yield Finding(
                 LAYER,
-                missed[self._config.frames - 1],
+                missed[self.config.frames - 1],
                 sure + (0.1 if case.things else 0.0),
                 f"{thing.id} ({thing.label()}) was still in the map, though {len(missed)} frames had shown"
                 " its place free before the goal was sought",
                 tuple(f"frame {frame}: its place was shown free" for frame in missed[:4]),
                 focus=thing.id,
                 decision=Decision(
-                    "key frames that showed its place free", float(len(missed)), float(self._config.frames)
+                    "key frames that showed its place free", float(len(missed)), float(self.config.frames)
                 ),
                 basis="truth" if case.things else "recording",
             )
@@ -148,4 +143,4 @@ def _frames(case: EpisodeCase, object_id: str, verdicts: Sequence[str], until: i
 @hookimpl
 def register_diagnosis(register: Register) -> None:
     """`update`: verdicts on objects against their evidence."""
-    register("update", lambda config, context: UpdateRule(config), config=Config)
+    register("update", UpdateRule, config=Config)

@@ -12,7 +12,8 @@ from dssmsg.errors import InputError
 from dssmsg.geometry import back_project_world
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.diagnosis import Decision, Finding
-from dssmsg.review.episode import EpisodeCase, ReviewedRecording
+from dssmsg.review.episode import EpisodeCase
+from dssmsg.review.episode_rule import EpisodeRule
 
 _STOPPED = frozenset({"blocked", "no path", "stuck", "out of time", "collision"})
 _PLACE = re.compile(r"something at (-?[0-9.]+) (-?[0-9.]+)")
@@ -27,20 +28,15 @@ class Config(PluginConfig):
     points: int = Field(20, ge=1, description="So many readings in one frame are something.")
 
 
-class WayRule:
+class WayRule(EpisodeRule[Config]):
     """Looks for what blocked the way in the depth images that were taken of it."""
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
-
-    def diagnose(self, recording: ReviewedRecording, episode: int | None) -> Sequence[Finding]:
+    def findings(self, case: EpisodeCase) -> Sequence[Finding]:
         """Findings: `environment` where depth shows an obstacle, `planner` where it shows nothing there."""
-        if episode is None:
+        if not case.failed:
             return ()
-        case = recording.case(episode)
-        if case.reason not in _STOPPED:
-            return ()
-        return [*self._obstacles(case), *_touched(case)]
+        stopped = case.reason in _STOPPED or _turned_away(case)
+        return [*(self._obstacles(case) if stopped else ()), *_touched(case)]
 
     def _obstacles(self, case: EpisodeCase) -> Iterator[Finding]:
         rows = [row for row in case.driving if _PLACE.search(row["detail"])]
@@ -53,7 +49,7 @@ class WayRule:
         told = {place: points for place, points in shown.items() if points is not None}
         if not told:
             return
-        real = {place: points for place, points in told.items() if points >= self._config.points}
+        real = {place: points for place, points in told.items() if points >= self.config.points}
         if len(real) >= 0.5 * len(told):
             place, points = next(iter(real.items()))
             frame = places[place]
@@ -68,7 +64,7 @@ class WayRule:
                     f"frame {places[p]}: {n} readings at ({p[0]:.2f}, {p[1]:.2f}) m"
                     for p, n in list(real.items())[:4]
                 ),
-                decision=Decision("readings of an obstacle", float(points), float(self._config.points)),
+                decision=Decision("readings of an obstacle", float(points), float(self.config.points)),
                 basis="truth" if names else "recording",
             )
             return
@@ -82,7 +78,7 @@ class WayRule:
                 f"frame {places[p]}: {n} readings at ({p[0]:.2f}, {p[1]:.2f}) m"
                 for p, n in list(told.items())[:4]
             ),
-            decision=Decision("readings of an obstacle", float(told[place]), float(self._config.points)),
+            decision=Decision("readings of an obstacle", float(told[place]), float(self.config.points)),
         )
 
     def _readings(self, case: EpisodeCase, place: tuple[float, float], frame: int) -> int | None:
@@ -97,12 +93,22 @@ class WayRule:
             points = back_project_world(image.depth, image.camera, image.world_from_camera)
             if not len(points):
                 continue
-            beside = np.linalg.norm(points[:, :2] - np.array(place), axis=1) <= self._config.near
-            height = (points[:, 2] > self._config.low) & (points[:, 2] < self._config.high)
+            beside = np.linalg.norm(points[:, :2] - np.array(place), axis=1) <= self.config.near
+            height = (points[:, 2] > self.config.low) & (points[:, 2] < self.config.high)
             count = int(np.count_nonzero(beside & height))
-            if np.count_nonzero(beside) >= self._config.points:
+            if np.count_nonzero(beside) >= self.config.points:
                 best = max(best or 0, count)
         return best
+
+
+def _turned_away(case: EpisodeCase) -> bool:
+    """Whether something in the way made the robot go to another place than the best candidate's."""
+    stops = case.recording.history.viewpoints
+    return (
+        bool(case.candidates)
+        and any(row["state"] == "replan" and _PLACE.search(row["detail"]) for row in case.driving)
+        and stops.get(case.driven_to) != stops.get(str(case.candidates[0]["viewpoint"]))
+    )
 
 
 def _names(case: EpisodeCase, place: tuple[float, float]) -> list[str]:
@@ -119,7 +125,7 @@ def _names(case: EpisodeCase, place: tuple[float, float]) -> list[str]:
 
 def _touched(case: EpisodeCase) -> Iterator[Finding]:
     """A collision with something that had not been there, by the truth."""
-    hit = next((move for move in case.moves if move.collided), None)
+    hit = case.touched
     if hit is None or not case.things:
         return
     x, y, _ = case.recording.base_pose(hit.frame)
@@ -138,4 +144,4 @@ def _touched(case: EpisodeCase) -> Iterator[Finding]:
 @hookimpl
 def register_diagnosis(register: Register) -> None:
     """`way`: obstacles that were met, against depth."""
-    register("way", lambda config, context: WayRule(config), config=Config)
+    register("way", WayRule, config=Config)

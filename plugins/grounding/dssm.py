@@ -79,6 +79,9 @@ class Config(PluginConfig):
         0.7, ge=0, le=1, description="Factor on s_core of a synonym where a thing of the very name exists."
     )
     tentative: bool = Field(False, description="Whether objects that are not yet believed count too.")
+    named: bool = Field(
+        True, description="Whether one not yet believed counts where nothing else has the name asked for."
+    )
 
     @property
     def is_paper(self) -> bool:
@@ -133,13 +136,10 @@ class DssmGrounding:
 
         `scores` holds every term of the module's formula, `matching` target node -> object or former place.
         """
-        things = things_of(
-            self._graph,
-            tentative=self._config.tentative,
-            vanished=self._config.vanished > 0,
-            former=_asks_past(target),
-        )
-        if not things or not target.nodes:
+        if not target.nodes:
+            return ()
+        things = self._things(target)
+        if not things:
             return ()
         query = self._query(target, things)
         found = [self._scored(query, subgraph) for subgraph in local_subgraphs(self._graph, things)]
@@ -152,6 +152,21 @@ class DssmGrounding:
             )
         )
         return tuple(self._candidate(query, one, rank) for rank, one in enumerate(found, 1))
+
+    def _things(self, target: TargetGraph) -> Sequence[Thing]:
+        """What may be matched. Who names a thing means one that was seen once rather than another of kin."""
+        vanished, former = self._config.vanished > 0, _asks_past(target)
+        things = things_of(self._graph, tentative=self._config.tentative, vanished=vanished, former=former)
+        name = target.nodes[target.core].label.lower()
+        asked = self._config.named and not self._config.is_paper and target.kind == "explicit"
+        if not asked or any(thing.label.lower() == name for thing in things):
+            return things
+        known = {thing.id for thing in things}
+        return [
+            thing
+            for thing in things_of(self._graph, tentative=True, vanished=vanished, former=former)
+            if thing.id in known or (thing.when == NOW and thing.label.lower() == name)
+        ]
 
     def _query(self, target: TargetGraph, things: Sequence[Thing]) -> _Query:
         wanted = self._encoder.encode_labels([node.label for node in target.nodes]).astype(np.float64)

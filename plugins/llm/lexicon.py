@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
@@ -20,6 +21,8 @@ from dssmsg.llm_requests import parse_answer
 
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
+    from dssmsg.lexicon.movement import Movement
+    from dssmsg.lexicon.target import Targets
 
 PLUGIN = "llm/lexicon"
 _ROLES = ("target_graph", ROLE)
@@ -39,18 +42,24 @@ class Lexicon:
 
     def __init__(self, config: Config, context: Context) -> None:
         """Raises ConfigError naming the table of the user's own that does not read, and its key."""
+        self._files = [context.base_dir / name for name in config.tables]
+        self._encoder = context.encoder if config.encoder else None
+        if self._files:
+            _ = self._parts  # said before the run begins; the packaged tables need not be read to be right
+
+    @cached_property
+    def _parts(self) -> tuple[Targets, Movement]:
+        """What answers either role; the tables take half a second to read."""
         from dssmsg.lexicon.movement import Movement
         from dssmsg.lexicon.tables import load_tables
         from dssmsg.lexicon.target import Targets
 
         try:
-            tables = load_tables([context.base_dir / name for name in config.tables])
+            tables = load_tables(self._files)
         except ConfigError as error:
             error.key = ".tables"
             raise
-        encoder = context.encoder if config.encoder else None
-        self._targets = Targets(tables, encoder)
-        self._movement = Movement(tables, encoder)
+        return Targets(tables, self._encoder), Movement(tables, self._encoder)
 
     def complete(self, role: str, messages: Sequence[Message], schema: Mapping[str, Any]) -> Answer:
         """The answer for a role, from the last user message.
@@ -63,7 +72,8 @@ class Lexicon:
         if role not in _ROLES:
             raise PluginError(f"knows the roles {' and '.join(_ROLES)}, not {role!r}", plugin=PLUGIN)
         try:
-            value = self._targets.of(text) if role != ROLE else {ROLE: self._movement.answer(text)}
+            targets, movement = self._parts
+            value = targets.of(text) if role != ROLE else {ROLE: movement.answer(text)}
         except NoTarget as error:
             raise PluginError(str(error), plugin=PLUGIN) from None
         answer = json.dumps(value)

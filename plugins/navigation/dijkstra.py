@@ -12,7 +12,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pydantic import Field
@@ -20,6 +19,7 @@ from pydantic import Field
 from dssmsg.frame import Frame
 from dssmsg.graph.changes import Cause, EdgeChanged, Score
 from dssmsg.graph.nodes import Edge
+from dssmsg.graph.outlines import Outlines
 from dssmsg.graph.paths import edge_key, nearest_waypoints, shortest_path
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.navigation import Step
@@ -28,6 +28,7 @@ from dssmsg.navigation.drive import Driver, wrap_angle
 from dssmsg.navigation.gaze import Gazes
 from dssmsg.navigation.grid import GridOptions, Point
 from dssmsg.navigation.pose import floor_place, floor_pose, is_on_leg
+from dssmsg.navigation.progress import Progress
 from dssmsg.navigation.surroundings import Obstacle, Surroundings
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ _MAX_DETOURS = 6
 """More detours than this on the way to one waypoint lead nowhere."""
 _AS_DRIVEN_M = 0.06
 """Nearer to an edge than this the robot drives it as it was driven before."""
+_FLAT_M = 0.12
+"""Things lower than this (rugs) have no outline to keep off."""
 _LOOK_AGAIN_M = 0.3
 """After so many metres it is tried again to keep off what the way passes closely."""
 
@@ -82,38 +85,6 @@ class Config(PluginConfig):
     )
 
 
-@dataclass(slots=True)
-class _Drive:
-    """Where a drive stands. `path`: waypoints still to visit; `behind`: the one left last.
-
-    `corners`: what is left of a detour, which leads to the way's point `leg`; `unreachable`: waypoints that
-    could not be got to from where the robot stood without an edge to blame; `closed`: edges that the drive
-    gave up itself; `reopened`: whether it has hoped for those again; `avoided`: what the detour leads round;
-    `found`: what is being looked at before its edge is given up; `kept_off`: where it was tried last to keep
-    off something close.
-    """
-
-    goals: tuple[str, ...] = ()
-    goal: str = ""
-    path: tuple[str, ...] = ()
-    behind: str | None = None
-    planned: bool = False
-    replans: int = 0
-    detours: int = 0
-    corners: tuple[Point, ...] = ()
-    leg: int = 0
-    unreachable: set[str] = field(default_factory=set)
-    closed: set[tuple[str, str, str]] = field(default_factory=set)
-    reopened: bool = False
-    avoided: Obstacle | None = None
-    found: Obstacle | None = None
-    kept_off: Point | None = None
-    inspecting: Gazes | None = None
-    gazes: Gazes | None = None
-    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    still: int = 0
-
-
 class Dijkstra:
     """Drives to one viewpoint at a time; `step` asks for one frame after the other."""
 
@@ -136,12 +107,22 @@ class Dijkstra:
             config.robot_radius,
             config.obstacle_width,
             config.obstacle_range,
+            Outlines(context.graph, max(low, _FLAT_M), high),
         )
-        self._now = _Drive()
+        self._now = Progress()
 
     def start(self, frame: Frame, goals: Sequence[str]) -> None:
         """Begin a drive: viewpoint ids, most wanted first. What the grid knows of this visit stays known."""
-        self._now = _Drive(self._first_places(goals), pose=floor_pose(frame))
+        self._now = Progress(self._first_places(goals), pose=floor_pose(frame))
+
+    def watch(self, frame: Frame) -> None:
+        """Learn the floor from a frame that asks for no command, such as those of a survey."""
+        self._floor.observe(frame)
+
+    def touched(self, frame: Frame, command: Command) -> None:
+        """A command has led against something: for the rest of the visit something stands there."""
+        self._floor.observe(frame)
+        self._floor.touch(frame, backwards=command.linear < 0)
 
     def step(self, frame: Frame) -> Step:
         """The next command, or the end of the drive: success, no path, blocked, stuck."""
@@ -151,7 +132,7 @@ class Dijkstra:
             return self._end(frame, "stuck", f"no motion in {now.still} frames")
         if any(name not in self._graph.waypoints for name in now.path):
             # An isolated waypoint has left the map.
-            now.planned, now.corners, now.leg, now.found, now.inspecting = False, (), 0, None, None
+            now.plan_anew()
         if now.inspecting is not None and now.found is not None:
             return self._inspect(frame, now.inspecting, now.found)
         if not now.planned:
@@ -181,23 +162,11 @@ class Dijkstra:
             near = nearest_waypoints(self._graph, x, y, _FIRST_WAYPOINTS + len(now.unreachable))
             free = [name for name in near if name not in now.unreachable]
             starts = tuple(n for n in free if n == free[0] or math.dist((x, y), self._xy(n)) <= _FIRST_M)
-        # Where no way is open, one over candidates is tried that this drive has not found blocked itself:
-        # what stood there may be gone, and only who goes there sees it.
-        hopeful: tuple[Callable[[Edge], bool] | None, ...] = (None, self._may_be_open)
-        for try_blocked, goal, start in itertools.product(hopeful, now.goals, starts):
-            viewpoint = self._graph.viewpoints.get(goal)
-            if viewpoint is None:
-                continue
-            path = shortest_path(self._graph, start, viewpoint.waypoint_id, try_blocked=try_blocked)
-            if path is None:
-                continue
-            now.goal, now.path, now.planned, now.detours = goal, path, True, 0
-            if (
-                now.behind is None
-                and len(path) > 1
-                and is_on_leg((x, y), self._xy(path[0]), self._xy(path[1]), _ON_EDGE_M)
-            ):
-                now.behind, now.path = path[0], path[1:]
+        # Where no way is open: over floor that was seen free, though never driven. Then over edges that this
+        # drive has not found blocked itself: what stood there may be gone, and only who goes there sees it.
+        if self._is_over_edges((x, y), starts, None) or self._is_over_seen_floor((x, y)):
+            return None
+        if self._is_over_edges((x, y), starts, self._may_be_open):
             return None
         if not now.goals:
             return self._end(frame, "no path", "no goal was given")
@@ -210,6 +179,47 @@ class Dijkstra:
         place = starts[0] if starts else "nowhere"
         return self._end(frame, "no path", f"from {place} to {', '.join(now.goals)}{after}")
 
+    def _is_over_edges(
+        self, here: Point, starts: Sequence[str], try_blocked: Callable[[Edge], bool] | None
+    ) -> bool:
+        """Whether edges lead to one of the goals; the first that can be reached is the goal from now on."""
+        now = self._now
+        for goal, start in itertools.product(now.goals, starts):
+            viewpoint = self._graph.viewpoints.get(goal)
+            if viewpoint is None:
+                continue
+            path = shortest_path(self._graph, start, viewpoint.waypoint_id, try_blocked=try_blocked)
+            if path is None:
+                continue
+            now.goal, now.path, now.planned, now.detours = goal, path, True, 0
+            now.leave_detour()
+            if (
+                now.behind is None
+                and len(path) > 1
+                and is_on_leg(here, self._xy(path[0]), self._xy(path[1]), _ON_EDGE_M)
+            ):
+                now.behind, now.path = path[0], path[1:]
+            return True
+        return False
+
+    def _is_over_seen_floor(self, here: Point) -> bool:
+        """Whether floor that was seen free leads to one of the goals, or close to it; the robot is on it."""
+        now = self._now
+        if not self._config.detour:
+            return False
+        for goal in now.goals:
+            viewpoint = self._graph.viewpoints.get(goal)
+            end = None if viewpoint is None else self._xy(viewpoint.waypoint_id)
+            corners = None if end is None else self._floor.free_way(here, end)
+            if viewpoint is None or end is None or corners is None:
+                continue
+            now.goal, now.path, now.planned, now.detours = goal, (viewpoint.waypoint_id,), True, 0
+            now.behind, now.avoided = None, None
+            # The last corner is the waypoint itself, or stands in for it.
+            now.corners, now.leg, now.free = corners, 1, True
+            return True
+        return False
+
     def _may_be_open(self, edge: Edge) -> bool:
         return edge_key(edge.source, edge.target) not in self._now.closed
 
@@ -221,7 +231,7 @@ class Dijkstra:
         while now.path:
             here, way = floor_place(frame), [self._xy(name) for name in now.path]
             if not self._is_passable(here, way):
-                now.corners, now.leg = (), 0
+                now.leave_detour()
                 return self._blocked(frame, here, way)
             points = [*now.corners, *way[now.leg :]]
             then = points[1] if len(points) > 1 else None
@@ -230,7 +240,7 @@ class Dijkstra:
                 state = "turn" if command.linear == 0.0 and command.angular != 0.0 else "drive"
                 state = "detour" if now.corners else state
                 return Step(command, state, now.path, detail=f"to {now.path[0]}", goal=now.goal)
-            self._advance()
+            now.advance()
         return None
 
     def _is_passable(self, here: Point, way: Sequence[Point]) -> bool:
@@ -259,10 +269,15 @@ class Dijkstra:
         """Where the way passes something closely and there is room, drive in a bend round it."""
         now = self._now
         tried = now.kept_off is not None and math.dist(here, now.kept_off) < _LOOK_AGAIN_M
-        if now.corners or tried or not self._config.detour or self._floor.close_by(here, way) is None:
+        points = [*now.corners, *way[now.leg :]]
+        if tried or not self._config.detour or self._floor.close_by(here, points) is None:
             return
         now.kept_off = here
-        detour = self._floor.way_round(here, way)
+        if now.free:
+            self._leads_round(here, way)
+            return
+        # On a detour already, only what has entered the map since then is worth another one.
+        detour = self._floor.way_round(here, way, berth=bool(now.corners))
         if detour is not None and detour.leg < len(way):
             now.corners, now.leg = detour.corners, detour.leg
 
@@ -271,6 +286,11 @@ class Dijkstra:
         now = self._now
         if not self._config.detour or now.detours >= _MAX_DETOURS:
             return False
+        if now.free:
+            tried = now.detours + 1
+            found = self._is_over_seen_floor(here)
+            now.detours = tried
+            return found
         detour = self._floor.way_round(here, way, far=self._is_only_way())
         if detour is None:
             return False
@@ -292,18 +312,6 @@ class Dijkstra:
         if len(ends) < 2 or ends[0] is None or ends[1] is None:
             return None
         return (ends[0], ends[1]) if edge_key(ends[0], ends[1]) in self._graph.edges else None
-
-    def _advance(self) -> None:
-        """A point of the way, or a corner of a detour, was reached."""
-        now, passed = self._now, 1
-        if now.corners:
-            now.corners = now.corners[1:]
-            if now.corners:
-                return
-            passed, now.leg = now.leg, 0
-        if passed:
-            now.behind, now.path = now.path[passed - 1], now.path[passed:]
-            now.detours, now.avoided = 0, None
 
     def _blocked(self, frame: Frame, here: Point, way: Sequence[Point]) -> Step:
         """No way round: look at what stands there, then give the edge up."""

@@ -39,7 +39,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("split object", "association", "association", association.SplitObject),
     Fault("called gone", "update", "update", update.CalledGone),
     Fault("wrong target graph", "grounding", "llm", language.WrongTarget),
-    Fault("wrong match weight", "matching", "grounding", options=matching.wrong_weights),
+    Fault("wrong match weight", "matching", "grounding", matching.WrongWeights),
     Fault("no way", "planner", "navigation", planner.NoWay),
     Fault("wheel slip", "control", "source", motion.WheelSlip),
     Fault("lost depth", "environment", "source", sensors.LostDepth),

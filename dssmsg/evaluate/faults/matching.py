@@ -4,22 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from dssmsg.evaluate.faults.host import Aim
 from dssmsg.events import Candidate
 from dssmsg.interfaces import Context, Grounding, TargetGraph, TargetNode
 
-_WEIGHTS: tuple[Mapping[str, Any], ...] = (
-    {"core_weight": 0.0, "view_weight": 4.0, "share": 0.3},
-    {"core_weight": 0.0, "attribute_weight": 0.0, "view_weight": 2.0, "share": 0.1},
-    {"core_weight": 0.0, "relation_weight": 5.0, "view_weight": 6.0, "share": 0.2},
+_WEIGHTS: tuple[Mapping[str, float], ...] = (
+    {"s_graph": 1.0, "s_core": -3.0, "s_view": 0.3},
+    {"s_graph": -1.0, "s_core": 0.0, "s_view": 0.3},
+    {"s_graph": 0.2, "s_core": 0.0, "s_view": -2.0},
 )
 
 
-def wrong_weights(aim: Aim) -> Mapping[str, Any]:
-    """Options that let almost anything match and weigh what is large in view."""
-    return _WEIGHTS[aim.seed % len(_WEIGHTS)]
+@dataclass(slots=True)
+class WrongWeights:
+    """The terms of the candidates are added up with other weights, some of them of the wrong sign."""
+
+    inner: Grounding
+    context: Context
+    aim: Aim
+
+    def ground(self, target: TargetGraph) -> Sequence[Candidate]:
+        """The inner ones with their new scores, the highest first."""
+        weights = _WEIGHTS[self.aim.seed % len(_WEIGHTS)]
+        scored = [
+            (sum(weight * one.scores.get(term, 0.0) for term, weight in weights.items()), one)
+            for one in self.inner.ground(target)
+        ]
+        scored.sort(key=lambda pair: -pair[0])
+        return tuple(
+            replace(one, rank=rank, scores={**one.scores, "score": score})
+            for rank, (score, one) in enumerate(scored, 1)
+        )
 
 
 @dataclass(slots=True)

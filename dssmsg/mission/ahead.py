@@ -1,0 +1,214 @@
+"""The part of a replay that needs no map, done ahead of it by a process of its own.
+
+A replay is open loop, so all its frames are known from the start: they can be decoded and checked, the
+floor plan can follow them, and recorded detections can be lifted while the map still takes in earlier frames.
+Everything comes out as it would in the replay itself, bit by bit: it is the same code. Where the helper
+cannot go on (a damaged image, memory) it ends, and the replay does the rest on its own.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dssmsg import checks
+from dssmsg.frame import ByteArray, Camera, Detection, Frame, Observation
+from dssmsg.graph.topology import Point, Strip
+from dssmsg.interfaces import SourceInfo
+from dssmsg.lift import Lifted, Lifter
+from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
+from dssmsg.mission.topology import FloorPlan
+from dssmsg.navigation.grid import GridOptions, RollingGrid
+from dssmsg.recording.reader import Recording
+
+_WAITING_FRAMES = 24
+"""Frames that may wait for the replay, about a megabyte each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """What was found out of a frame.
+
+    depth_mm (H, W) uint16; rgb (H, W, 3) uint8 of key frames; `plan`: the floor plan after the frame;
+    `lifted`: of a key frame with recorded detections, features left out, for they stay with these.
+    """
+
+    index: int
+    depth_mm: NDArray[np.uint16]
+    rgb: ByteArray | None
+    plan: RollingGrid
+    lifted: Lifted | None
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What the helper has to do: the file, its frames in the order of the replay, and how to treat them."""
+
+    path: Path
+    indices: Sequence[int]
+    camera: Camera
+    depth_noise_m: tuple[float, float]
+    rule: KeyFrameRule
+    lifts: bool
+    """Whether the recorded detections are used again."""
+
+
+class Ahead:
+    """The helper, seen from the replay. Ask for the frames in the order of the task; close it at the end."""
+
+    def __init__(self, task: Task) -> None:
+        # Not forked: Rerun holds threads.
+        context = get_context("spawn")
+        self._results, sender = context.Pipe(duplex=False)
+        self._process = context.Process(target=_work, args=(task, sender), name="dssmsg-ahead", daemon=True)
+        self._process.start()
+        sender.close()  # only the helper holds that end now: it is told apart from a slow one when it dies
+        self._latest: Ready | None = None
+        self._ended = False
+
+    def take(self, index: int) -> Ready | None:
+        """What is ready of a frame; waits for it. None from the first frame on of which there is nothing."""
+        self._latest = None if self._ended else self._next()
+        if self._latest is None or self._latest.index != index:
+            self._latest, self._ended = None, True
+        return self._latest
+
+    def latest(self, index: int) -> Ready | None:
+        """What `take` gave last, if it was of this frame."""
+        return self._latest if self._latest is not None and self._latest.index == index else None
+
+    def close(self) -> None:
+        """End the helper; safe to call twice."""
+        self._ended = True
+        self._results.close()
+        self._process.terminate()
+        self._process.join()
+
+    def _next(self) -> Ready | None:
+        try:
+            ready: Ready = self._results.recv()
+        except (EOFError, OSError):  # it has done what it could, or was killed
+            return None
+        return ready
+
+
+class AheadLifter(Lifter):
+    """Gives what the helper lifted; lifts itself where it has nothing."""
+
+    def __init__(self, ahead: Ahead) -> None:
+        super().__init__()
+        self._ahead = ahead
+
+    def lift(self, frame: Frame, detections: Sequence[Detection]) -> Lifted:
+        """The observations of the recorded detections of a frame; they must be those that are given."""
+        ready = self._ahead.latest(frame.index)
+        if ready is None or ready.lifted is None:
+            return super().lift(frame, detections)
+        return replace(
+            ready.lifted,
+            observations=tuple(
+                _with_features(one, detections[one.detection_index]) for one in ready.lifted.observations
+            ),
+        )
+
+
+class AheadFloor:
+    """The floor plan that the helper made; follows the frames itself from where the helper ended."""
+
+    def __init__(self, ahead: Ahead, own: FloorPlan) -> None:
+        self._ahead = ahead
+        self._plan = own
+
+    def forget(self) -> None:
+        """Begin with an empty floor plan."""
+        self._plan.forget()
+
+    def observe(self, frame: Frame) -> None:
+        """Take in a frame."""
+        ready = self._ahead.latest(frame.index)
+        if ready is None:
+            self._plan.observe(frame)
+        else:
+            self._plan = ready.plan
+
+    def corridor(self, start: Point, end: Point, half_width: float) -> Strip:
+        """What is known of the strip of `half_width` metres along a straight leg."""
+        return self._plan.corridor(start, end, half_width)
+
+
+def _with_features(observation: Observation, detection: Detection) -> Observation:
+    """An observation as the lifter gives it: read-only, with the features of its detection."""
+    for name in ("points_world", "colors", "box_min", "box_max"):
+        getattr(observation, name).flags.writeable = False
+    return replace(observation, text_feature=detection.text_feature, image_feature=detection.image_feature)
+
+
+# The helper's side.
+
+
+def _work(task: Task, results: Connection) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    waiting: queue.Queue[Ready | None] = queue.Queue(_WAITING_FRAMES)
+    sender = threading.Thread(target=_send, args=(waiting, results), daemon=True)
+    sender.start()
+    with suppress(Exception):  # the replay meets the same, in its place
+        _go_through(task, waiting)
+    waiting.put(None)
+    sender.join()
+
+
+def _send(waiting: queue.Queue[Ready | None], results: Connection) -> None:
+    """Sending waits for the replay; the work goes on meanwhile."""
+    with suppress(OSError):  # nobody listens any more
+        while (ready := waiting.get()) is not None:
+            results.send(ready)
+    results.close()
+
+
+def _end_with_parent() -> None:
+    """End this process with the replay, also where that was killed: nobody would take what it makes."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _go_through(task: Task, waiting: queue.Queue[Ready | None]) -> None:
+    info = SourceInfo("recording", task.camera, drivable=False, has_truth=False)
+    selector = KeyFrameSelector(task.rule)
+    plan = RollingGrid(GridOptions(noise=task.depth_noise_m))
+    lifter = Lifter()
+    before: Frame | None = None
+    with Recording.open(task.path) as recording:
+        for index in task.indices:
+            frame = recording.frame(index, lazy=True)
+            checks.check_frame(frame, info, before)
+            if before is None or frame.visit != before.visit:
+                plan.forget()
+            plan.observe(frame)
+            rgb, lifted = None, None
+            if selector.is_key(frame):
+                rgb = frame.rgb
+                detections = recording.detections(index) if task.lifts else None
+                if detections is not None:
+                    lifted = lifter.lift(frame, checks.check_detections(frame, detections))
+                    lifted = replace(lifted, observations=tuple(map(_bare, lifted.observations)))
+            millimetres = np.rint(frame.depth * np.float32(1000.0)).astype(np.uint16)
+            # A copy: the plan goes on while this one waits to be sent.
+            waiting.put(Ready(index, millimetres, rgb, deepcopy(plan), lifted))
+            before = frame
+
+
+def _bare(observation: Observation) -> Observation:
+    return replace(observation, text_feature=None, image_feature=None)
