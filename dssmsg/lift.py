@@ -17,11 +17,15 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from dssmsg.cluster import density_clusters
-from dssmsg.frame import Detection, Float32Array, Frame, MaskArray, Observation
+from dssmsg.frame import Detection, Float32Array, FloatArray, Frame, MaskArray, Observation
 from dssmsg.geometry import box_of, cell_keys, pixel_rays, transform_points
 
 BACKGROUND_LABELS = frozenset({"wall", "floor", "ceiling", "door"})
 """Labels that are never nodes of the graph."""
+SPILL_LAYER_M = 0.03
+"""How thick the layer is that may be the surface a thing stands on, metres."""
+SPILL_LEAST, SPILL_BODY_SHARE = 8, 0.1
+"""So many points above that layer, and this share of it, make what stands there a thing and not a rim."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +47,9 @@ class Lifter:
     itself counted) define density clusters. Of these the largest is the thing, and so is, beyond the paper,
     any other of at least `part_share` of its size within `part_gap`, and no farther than it is large, of what
     is kept already: behind a chair a table shows in two parts, and keeping the larger alone makes two tables
-    of it once the parts have been the larger in turn (1.0: the largest alone). A mask pixel beside a pixel
-    outside the mask counts as rim, and is left out where the two depths differ by more than `step` plus
-    `step_ratio` of the depth.
+    of it once the parts have been the larger in turn (1.0: the largest alone). What runs over onto the
+    surface below goes, see `spilled`. A mask pixel beside a pixel outside the mask counts as rim, and is left
+    out where the two depths differ by more than `step` plus `step_ratio` of the depth.
     """
 
     def __init__(
@@ -120,6 +124,7 @@ class Lifter:
         for place, index in enumerate(chosen):
             part = slice(ends[place], ends[place + 1])
             keep = self._parts(points[part], labels[part])
+            keep = keep[~spilled(points[part][keep])]
             if len(keep) < self.min_points:
                 reasons[index] = "sparse"
                 continue
@@ -162,6 +167,30 @@ class Lifter:
             if np.isfinite(gaps).any():
                 kept = np.sort(np.concatenate([kept, part]))
         return kept
+
+
+def spilled(points: FloatArray) -> MaskArray:
+    """(N,) bool: which points (N, 3) of a thing are of the surface it stands on.
+
+    A mask that runs over onto the table takes in a low layer far beyond the mug. What is in the lowest
+    `SPILL_LAYER_M` and farther from all that stands above it than that is high is spilled. Flat things have
+    too little above that layer, and stay whole.
+    """
+    none: MaskArray = np.zeros(len(points), dtype=np.bool_)
+    if len(points) == 0:
+        return none
+    heights = points[:, 2] - np.quantile(points[:, 2], 0.02)
+    low = heights < SPILL_LAYER_M
+    body = points[~low]
+    if len(body) < max(SPILL_LEAST, SPILL_BODY_SHARE * np.count_nonzero(low)):
+        return none
+    high = float(np.quantile(heights[~low], 0.9))
+    if high < 2 * SPILL_LAYER_M - 0.01:
+        return none
+    away, _ = KDTree(body[:, :2]).query(points[low, :2])
+    result = none
+    result[low] = away > high
+    return result
 
 
 def depth_steps(depth: Float32Array, step: float, step_ratio: float) -> tuple[MaskArray, MaskArray]:

@@ -8,7 +8,7 @@ from dssmsg_plugins.perception.oracle import Oracle, OracleConfig
 
 from dssmsg.frame import Camera, Detection
 from dssmsg.geometry import box_iou
-from dssmsg.lift import Lifter, voxelise
+from dssmsg.lift import Lifter, spilled, voxelise
 
 TABLE = Thing("table", (1.5, -0.5, 0.1), (2.0, 0.5, 0.4))
 FULL = Camera.from_fov(320, 240, math.radians(69.4))
@@ -172,3 +172,38 @@ def test_lifting_a_frame_takes_milliseconds():
         lifter.lift(frame, detections)
         times.append(time.process_time() - start)
     assert min(times) < 0.1  # 10 to 20 ms; a bound that a slow, busy machine holds too
+
+
+def slab(low, high, step=0.025):
+    """Points that fill a box, one a voxel."""
+    axes = [np.arange(a + step / 2, b, step) for a, b in zip(low, high, strict=True)]
+    return np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+TABLE_TOP = slab((-0.05, -0.05, 0.70), (0.65, 0.15, 0.725))
+
+
+@pytest.mark.parametrize("size", [0.1, 0.2])
+def test_the_table_that_a_mask_took_in_is_spilled(size):
+    mug = slab((0, 0, 0.725), (size, size, 0.725 + size))
+    points = np.concatenate([mug, TABLE_TOP])
+    off = spilled(points)
+    assert not off[: len(mug)].any()
+    assert np.ptp(points[~off, 0]) < 0.05 + 2 * size + 0.05
+    assert np.array_equal(spilled(points + np.array([3.0, -2.0, 0.4])), off)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        TABLE_TOP,  # flat as a whole
+        np.concatenate([TABLE_TOP, slab((0, 0, 0.725), (0.05, 0.025, 0.8))]),  # and a table leg's rim
+        np.concatenate(
+            [slab((0, 0, 0), (0.35, 0.25, 0.025)), slab((0, 0, 0), (0.35, 0.025, 0.27))]
+        ),  # laptop
+        slab((0, 0, 0), (1.0, 0.6, 0.5)),
+        np.zeros((0, 3)),
+    ],
+)
+def test_flat_things_and_low_parts_of_things_stay_whole(points):
+    assert not spilled(points).any()
