@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from dssmsg.frame import Float32Array, FloatArray, Frame, MaskArray
-from dssmsg.geometry import Sight, back_project_world, grow_box, points_in_box, sight_of_points
+from dssmsg.geometry import Sight, sight_of_points
 from dssmsg.graph.voxels import VOXEL_M, KeyArray, voxel_keys
 
 MIN_OUTSIDE = 2
@@ -27,10 +27,8 @@ STATION_M = 0.5
 """Frames taken from nearer to each other than this are one look: they share their mistakes, metres."""
 MIN_SHRINK_M = 0.05
 """A cloud is cut where its box becomes this much shorter on an axis, metres; what changes less stays."""
-SURROUNDINGS_M = 0.2
-"""So far about an object a frame votes on what it shows, metres: what is beside a mug is no part of it."""
-OUTGROWN, MIN_OUTGROWN_M = 1.3, 0.05
-"""What becomes this many times and metres longer grows more than one place is trusted with."""
+OUTGROWN, MIN_OUTGROWN_M = 1.5, 0.05
+"""What becomes this many times and metres wider grows more than one place is trusted with."""
 _STEPS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) * VOXEL_M
 
 
@@ -74,7 +72,6 @@ class Extents:
         self._share = share
         self._votes: dict[str, _Votes] = {}
         self._stations: list[FloatArray] = []
-        self._scene: tuple[Frame, Float32Array] | None = None
 
     def vote(
         self,
@@ -92,8 +89,7 @@ class Extents:
         """
         sight = sight_of_points(cloud, frame.depth, frame.camera, frame.world_from_camera, tolerance)
         shown = cloud[sight == Sight.ON_SURFACE]
-        around = np.concatenate([shown, self._around(frame, cloud, seen)])
-        outside = around[~_near(around, seen, tolerance)]
+        outside = shown[~_near(shown, seen, tolerance)]
         for other in others:
             outside = outside[~_near(outside, other, tolerance)]
         out_keys = np.unique(voxel_keys(outside))
@@ -128,18 +124,6 @@ class Extents:
         _, nearest = KDTree(points[decided]).query(points[~decided])
         fits[~decided] = sure[decided][nearest]
         return fits
-
-    def _around(self, frame: Frame, cloud: Float32Array, seen: Float32Array) -> Float32Array:
-        """(N, 3) what the frame shows in and about an object's box."""
-        if self._scene is None or self._scene[0] is not frame:
-            readable = np.zeros(frame.depth.shape, dtype=np.bool_)
-            readable[::2, ::2] = frame.depth[::2, ::2] > 0
-            everything = back_project_world(frame.depth, frame.camera, frame.world_from_camera, readable)
-            self._scene = (frame, everything.astype(np.float32))
-        points = self._scene[1]
-        low = np.minimum(cloud.min(axis=0), seen.min(axis=0))
-        high = np.maximum(cloud.max(axis=0), seen.max(axis=0))
-        return points[points_in_box(points, *grow_box(low, high, SURROUNDINGS_M))]
 
     def _station(self, frame: Frame) -> int:
         """The number of the place that a frame was taken from."""
@@ -186,12 +170,12 @@ def shrinks(cloud: Float32Array, belongs: MaskArray) -> bool:
 
 
 def outgrows(box_min: FloatArray, box_max: FloatArray, points: Float32Array) -> bool:
-    """Whether points (N, 3) make a box much longer than it is."""
+    """Whether points (N, 3) make a box much wider than it is; upwards masks seldom run over."""
     if not len(points):
         return False
-    before = float((box_max - box_min).max())
+    before = float((box_max - box_min)[:2].max())
     after = np.maximum(box_max, points.max(axis=0)) - np.minimum(box_min, points.min(axis=0))
-    return float(after.max()) > max(OUTGROWN * before, before + MIN_OUTGROWN_M)
+    return float(after[:2].max()) > max(OUTGROWN * before, before + MIN_OUTGROWN_M)
 
 
 def _cleared(votes: _Votes, other: _Votes) -> _Votes:

@@ -129,14 +129,16 @@ def aligned_pieces(
 
 
 def _outsized(graph: GraphView, a: ObjectNode, b: ObjectNode) -> bool:
-    """Whether the two together are much wider than all others of their label; False where few are known."""
+    """Whether two are much wider together than either, and than any other of their label; False where none is
+    known."""
     others = [
         _width(other.box_min, other.box_max)
         for other in graph.objects.values()
         if other.label == a.label and other.status == BELIEVED and other.id not in (a.id, b.id)
     ]
     joint = _width(np.minimum(a.box_min, b.box_min), np.maximum(a.box_max, b.box_max))
-    return len(others) >= _KNOWN_OTHERS and joint > _OUTSIZED * max(others)
+    apart = max(_width(a.box_min, a.box_max), _width(b.box_min, b.box_max))
+    return len(others) >= _KNOWN_OTHERS and joint > _OUTSIZED * max(*others, apart)
 
 
 def _width(box_min: FloatArray, box_max: FloatArray) -> float:

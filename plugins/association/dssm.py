@@ -258,8 +258,6 @@ class DssmAssociation:
             node = self._graph.objects[pair.object_id]
             if outgrows(node.box_min, node.box_max, points[novel]):
                 novel &= self._extents.confirmed(object_id, points, elsewhere=True)
-        elif self._extents is not None:
-            novel &= self._extents.belongs(object_id, observation.points_world)
         for part in dict.fromkeys(parts):
             novel &= ~self._graph.known_voxels(part, observation.points_world)
         cause = Cause(PLUGIN, "merge")
