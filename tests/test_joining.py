@@ -128,6 +128,7 @@ def test_two_that_would_be_too_wide_for_their_kind_stay_two(known, count):
     assert len(world.graph.objects) == count
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.35])
 @pytest.mark.parametrize(
     ("score", "low", "label", "count"),
     [
@@ -137,8 +138,8 @@ def test_two_that_would_be_too_wide_for_their_kind_stay_two(known, count):
         (0.2, (1.0, 0.0, 0.8), "mirror", 2),
     ],
 )
-def test_a_doubtful_fragment_goes_to_what_holds_it_though_one_frame_saw_both(score, low, label, count):
-    world = World(merge_min_overlap=1.0)
+def test_a_doubtful_fragment_goes_to_what_holds_it_though_one_frame_saw_both(gap, score, low, label, count):
+    world = World(merge_min_overlap=1.0, join_gap=gap)
     whole = observe("guitar", (1, 0, 0), (1.1, 0.3, 1.2))
     neck = observe(label, low, (1.1, low[1] + 0.3, 1.2), score=score)
     for _ in range(5):

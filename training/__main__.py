@@ -8,20 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-STAGES = (
-    "render",
-    "masks",
-    "masks2",
-    "masks3",
-    "masks4",
-    "masks5",
-    "masks6",
-    "crops",
-    "proposals",
-    "tune",
-    "export",
-    "calibrate",
-)
+MASKS = ("masks", "masks2", "masks3", "masks4", "masks5", "masks6")
+STAGES = ("render", *MASKS, "crops", "proposals", "tune", "export", "calibrate")
 SEEDS = (*range(540), *range(600, 1000))
 
 
@@ -46,8 +34,7 @@ def run(stage: str, given: argparse.Namespace) -> None:
     """One stage; what only it needs is imported here."""
     work: Path = given.work
     shards = work / "shards"
-    names = ("masks", "masks2", "masks3", "masks4", "masks5", "masks6", "crops", "tuned")
-    first, second, third, fourth, fifth, masks, crops, tuned = (work / f"{name}.pt" for name in names)
+    masks, crops, tuned = (work / f"{name}.pt" for name in (MASKS[-1], "crops", "tuned"))
     if stage == "render":
         from training.render import render
 
@@ -56,30 +43,12 @@ def run(stage: str, given: argparse.Namespace) -> None:
     import torch
 
     torch.set_num_threads(given.threads)
-    if stage == "masks":
-        from training import masks as mask_stage
+    if stage in MASKS:
+        from training.masks import ROUNDS, train
 
-        mask_stage.train(shards, first, planned(mask_stage.Plan(), given.steps))
-    elif stage == "masks2":
-        from training import masks as mask_stage
-
-        mask_stage.train(shards, second, planned(mask_stage.SECOND, given.steps), begin_with=first)
-    elif stage == "masks3":
-        from training import masks as mask_stage
-
-        mask_stage.train(shards, third, planned(mask_stage.THIRD, given.steps), begin_with=second)
-    elif stage == "masks4":
-        from training import masks as mask_stage
-
-        mask_stage.train(shards, fourth, planned(mask_stage.FOURTH, given.steps), begin_with=third)
-    elif stage == "masks5":
-        from training import masks as mask_stage
-
-        mask_stage.train(shards, fifth, planned(mask_stage.FIFTH, given.steps), begin_with=fourth)
-    elif stage == "masks6":
-        from training import masks as mask_stage
-
-        mask_stage.train(shards, masks, planned(mask_stage.SIXTH, given.steps), begin_with=fifth)
+        number = MASKS.index(stage)
+        before = work / f"{MASKS[number - 1]}.pt" if number else None
+        train(shards, work / f"{stage}.pt", planned(ROUNDS[number], given.steps), begin_with=before)
     elif stage == "crops":
         from training import crops_train
 

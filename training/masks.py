@@ -61,16 +61,21 @@ def loss(
     return torch.stack(parts).sum(), [float(part.detach()) for part in parts]
 
 
-SECOND = Plan(steps=900, until=900, rate=1.6e-3, seed=1, seeds=LIVED_IN_FROM, small=1.0)
-"""The second round: every shard, and more weight on small things."""
-THIRD = Plan(steps=600, until=500, rate=1.2e-3, seed=2, seeds=LIVED_IN_FROM, small=1.0)
-"""The third round: the same from a lower rate."""
-FOURTH = Plan(steps=600, until=600, rate=1e-3, seed=3, seeds=10**6, small=1.5, everywhere=True, lived_in=0.6)
-"""The fourth round: most views show rooms full of small things, which count in every part of the loss."""
-FIFTH = replace(FOURTH, steps=2000, until=2000, rate=1.2e-3, seed=4)
-"""The fifth round: the same for longer, from a higher rate again."""
-SIXTH = replace(FIFTH, seed=5, lived_in=0.7)
-"""The sixth round: once more, with more of the rooms full of small things."""
+_EVERY_SHARD = Plan(steps=900, until=900, rate=1.6e-3, seed=1, seeds=LIVED_IN_FROM, small=1.0)
+_LIVED_IN = Plan(
+    steps=600, until=600, rate=1e-3, seed=3, seeds=10**6, small=1.5, everywhere=True, lived_in=0.6
+)
+ROUNDS = (
+    Plan(),
+    _EVERY_SHARD,
+    replace(_EVERY_SHARD, steps=600, until=500, rate=1.2e-3, seed=2),
+    _LIVED_IN,
+    replace(_LIVED_IN, steps=2000, until=2000, rate=1.2e-3, seed=4),
+    replace(_LIVED_IN, steps=2000, until=2000, rate=1.2e-3, seed=5, lived_in=0.7),
+)
+"""The rounds, each going on with the network of the one before: whole views of the first seeds; every shard,
+with more weight on small things; the same from a lower rate; mostly rooms full of small things, which count
+in every part of the loss; that for longer, from a higher rate again; once more, with more of such rooms."""
 
 
 def train(folder: Path, out: Path, plan: Plan, begin_with: Path | None = None) -> None:

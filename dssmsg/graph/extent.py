@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from dssmsg.frame import Float32Array, FloatArray, Frame, MaskArray
 from dssmsg.geometry import Sight, sight_of_points
+from dssmsg.graph.stations import Stations
 from dssmsg.graph.voxels import VOXEL_M, KeyArray, voxel_keys
 
 MIN_OUTSIDE = 2
@@ -71,7 +72,7 @@ class Extents:
     def __init__(self, share: float) -> None:
         self._share = share
         self._votes: dict[str, _Votes] = {}
-        self._stations: list[FloatArray] = []
+        self._stations = Stations(STATION_M)
 
     def vote(
         self,
@@ -95,7 +96,7 @@ class Extents:
         out_keys = np.unique(voxel_keys(outside))
         in_keys = np.unique(np.concatenate([voxel_keys(shown), voxel_keys(seen)]))
         in_keys = in_keys[~np.isin(in_keys, out_keys)]
-        station = self._station(frame)
+        station = self._stations.number(frame.world_from_camera[:3, 3])
         parts = [_Votes.of_frame(in_keys, True, station), _Votes.of_frame(out_keys, False, station)]
         if object_id in self._votes:
             parts.append(self._votes[object_id])
@@ -124,15 +125,6 @@ class Extents:
         _, nearest = KDTree(points[decided]).query(points[~decided])
         fits[~decided] = sure[decided][nearest]
         return fits
-
-    def _station(self, frame: Frame) -> int:
-        """The number of the place that a frame was taken from."""
-        here = frame.world_from_camera[:3, 3]
-        for number, there in enumerate(self._stations):
-            if np.linalg.norm(here - there) < STATION_M:
-                return number
-        self._stations.append(here)
-        return len(self._stations) - 1
 
     def confirmed(self, object_id: str, points: Float32Array, *, elsewhere: bool) -> MaskArray:
         """(N,) bool: which points (N, 3) lie in a voxel that two frames had inside, or next to one; with

@@ -15,8 +15,8 @@ from dssmsg.graph.nodes import BELIEVED, DISAPPEARED, ObjectNode
 from dssmsg.graph.scoring import neighbour_share
 from dssmsg.graph.view import GraphView
 
-_KNOWN_OTHERS, _OUTSIZED = 1, 1.4
-"""So many others of a label tell how wide such things are, and so many times as wide is too wide."""
+_OUTSIZED = 1.4
+"""So many times as wide as the others of its label is too wide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ def aligned_pieces(
         beside[axis] = True
         joint = float(max(a.box_max[axis], b.box_max[axis]) - min(a.box_min[axis], b.box_min[axis]))
         limit = min(max_gap, max_gap_share * joint)
-        if not beside.all() or -overlaps[axis] > limit or _outsized(graph, a, b):
+        if not beside.all() or -overlaps[axis] > limit or _outsized(graph, a, b, max_gap):
             continue
         small, large = (a, b) if len(a.points) <= len(b.points) else (b, a)
         gaps, _ = graph.tree(large.id).query(small.points, distance_upper_bound=limit)
@@ -128,17 +128,18 @@ def aligned_pieces(
     return _consistent(graph, [*before, *found], ())[len(before) :]
 
 
-def _outsized(graph: GraphView, a: ObjectNode, b: ObjectNode) -> bool:
+def _outsized(graph: GraphView, a: ObjectNode, b: ObjectNode, max_gap: float) -> bool:
     """Whether two are much wider together than either, and than any other of their label; False where none is
-    known."""
+    known. What is within `max_gap` of the two may be one more piece of them, and tells nothing."""
+    low, high = np.minimum(a.box_min, b.box_min), np.maximum(a.box_max, b.box_max)
+    beside = frozenset(graph.objects_touching(*grow_box(low, high, max_gap)))
     others = [
         _width(other.box_min, other.box_max)
         for other in graph.objects.values()
-        if other.label == a.label and other.status == BELIEVED and other.id not in (a.id, b.id)
+        if other.label == a.label and other.status == BELIEVED and other.id not in beside
     ]
-    joint = _width(np.minimum(a.box_min, b.box_min), np.maximum(a.box_max, b.box_max))
     apart = max(_width(a.box_min, a.box_max), _width(b.box_min, b.box_max))
-    return len(others) >= _KNOWN_OTHERS and joint > _OUTSIZED * max(*others, apart)
+    return bool(others) and _width(low, high) > _OUTSIZED * max(*others, apart)
 
 
 def _width(box_min: FloatArray, box_max: FloatArray) -> float:

@@ -55,7 +55,8 @@ class DssmConfig(PluginConfig):
         1.1, ge=0, le=2, description="delta_sim: below this s = s_geo + s_sem (0..2) it is a new object."
     )
     paper_exact: bool = Field(
-        False, description="The paper's literal rule: s alone decides; no `merge_min_` pair, no `join_gap`."
+        False,
+        description="The paper's literal rule: s alone decides; no `merge_min_` pair, no joins by fit.",
     )
     merge_min_semantic: float = Field(
         0.9, ge=0, le=1, description="A merge needs this s_sem, or else `merge_min_overlap`."
@@ -316,7 +317,7 @@ class DssmAssociation:
         visited, self._visited = self._visited, set()
         contained = self._contained(set())
         joins = [_joined(join, "join", "containment") for join in contained]
-        if config.join_gap == 0.0 or config.paper_exact:
+        if config.paper_exact:
             return joins
         aligned = aligned_pieces(
             self._graph, visited, contained, self._unnamed, config.join_gap, config.join_gap_share
