@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from box_scene import Thing, look, pose_at
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_association import World, rules
 
@@ -94,7 +94,9 @@ def test_what_two_frames_from_one_place_agree_on_may_be_one_mistake(away, truste
 def test_a_box_outgrows_itself_by_a_share_and_by_metres_on_the_floor_alone(size, more):
     box = np.zeros(3), np.full(3, size)
     point = np.array([[size + more, 0, 0]], np.float32)
-    assert outgrows(*box, point) == (np.float32(size + more) > max(1.5 * size, size + 0.05))
+    limit = max(1.5 * size, size + 0.05)
+    assume(abs(size + more - limit) > 1e-5)  # points are 32-bit floats: on the edge either answer is right
+    assert outgrows(*box, point) == (size + more > limit)
     assert not outgrows(*box, point[:, ::-1])
     assert not outgrows(*box, point[:0])
 
