@@ -7,26 +7,34 @@ that choice to the order of visits); the rest is noise.
 
 Most points need no search. In a grid of side eps / sqrt(6) any two points of one cell, or of two cells
 that share a face, are at most eps apart: the largest distance is sqrt(1 + 1 + 4) sides. Hence a cell
-whose own points and those behind its six faces are `min_neighbours` or more holds core points only, and
-two such cells behind one face hold one cluster. What this leaves open, few points at rims and between
-parts, is settled by exact search in a KD-tree, so that the result equals the definition.
+whose own points and those behind its six faces are `min_neighbours` or more holds core points only. In a
+grid of side eps / sqrt(12) the same holds of two cells that share a corner, and so core points in cells that
+hang together are of one cluster. What this leaves open, few points at rims and gaps between parts, is
+settled by exact search in a KD-tree, so that the result equals the definition.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from dssmsg.frame import FloatArray, MaskArray
 from dssmsg.geometry import cell_keys
+from dssmsg.neighbours import quick_tree
 
 LabelArray = NDArray[np.int64]
+_FACES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+_HALF_AROUND = tuple(
+    (x, y, z) for x, y, z in itertools.product((-1, 0, 1), repeat=3) if (x, y, z) > (0, 0, 0)
+)
+"""Half of the 26 cells around one; the other half lies the other way."""
 
 
 def density_clusters(
@@ -44,40 +52,31 @@ def density_clusters(
     else:  # move each group along x out of reach of the others
         points = points.copy()
         points[:, 0] += groups * (float(np.ptp(points[:, 0])) + 2 * eps)
-    cell_of, cell_sizes, faces = _grid(points, eps / math.sqrt(6.0) * (1 - 1e-9))
+    cell_of, cell_sizes, faces = _grid(points, eps / math.sqrt(6.0) * (1 - 1e-9), _FACES)
     reach = cell_sizes.copy()
     np.add.at(reach, faces[:, 0], cell_sizes[faces[:, 1]])
     np.add.at(reach, faces[:, 1], cell_sizes[faces[:, 0]])
-    sure_cell = reach >= min_neighbours
-    sure_faces = faces[sure_cell[faces[:, 0]] & sure_cell[faces[:, 1]]]
-    part_of_cell = _components(len(cell_sizes), sure_faces)
-
-    # From here on a "part" is a set of core points known to be one cluster: a component of sure cells, or a
-    # single point found to be core by search.
-    core = sure_cell[cell_of]
-    part = np.where(core, part_of_cell[cell_of], -1)
+    core = (reach >= min_neighbours)[cell_of]
     open_points = np.flatnonzero(~core)
-    tree = None
     if len(open_points):
-        tree = _tree(points)
-        lengths = tree.query_ball_point(points[open_points], eps, return_length=True)
-        found = open_points[np.asarray(lengths) >= min_neighbours]
-        core[found] = True
-        part[found] = len(cell_sizes) + np.arange(len(found))
+        core[open_points] = _have_within(points, points[open_points], min_neighbours, eps)
+    part = np.full(count, -1, dtype=np.int64)
     if not core.any():
-        return np.full(count, -1, dtype=np.int64)
-    part = _join_parts(points, groups, core, part, eps)
+        return part
+    core_points = points[core]
+    part[core] = _parts(core_points, groups[core], eps)
     border = np.flatnonzero(~core)
     if len(border):
-        core_indices = np.flatnonzero(core)
-        nearest = _nearest_within(points[core_indices], points[border], eps)
+        nearest = _nearest_within(core_points, points[border], eps)
         reached = nearest >= 0
-        part[border[reached]] = part[core_indices[nearest[reached]]]
+        part[border[reached]] = part[core][nearest[reached]]
     return _number_by_first(part)
 
 
-def _grid(points: FloatArray, side: float) -> tuple[LabelArray, LabelArray, LabelArray]:
-    """Cell of each point (N,), points a cell (C,), and the pairs (F, 2) of cells that share a face."""
+def _grid(
+    points: FloatArray, side: float, around: Sequence[tuple[int, int, int]]
+) -> tuple[LabelArray, LabelArray, LabelArray]:
+    """Cell of each point (N,), points a cell (C,), and the pairs (F, 2) of cells that are `around` apart."""
     keys, steps = cell_keys(points, side)
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
@@ -87,50 +86,45 @@ def _grid(points: FloatArray, side: float) -> tuple[LabelArray, LabelArray, Labe
     cell_of[order] = np.repeat(np.arange(len(starts)), sizes)
     distinct = ordered[starts]
     pairs = []
-    for step in steps:
-        place = np.searchsorted(distinct, distinct + step)
+    for x, y, z in around:
+        beside = distinct + (x * steps[0] + y * steps[1] + z * steps[2])
+        place = np.searchsorted(distinct, beside)
         place[place == len(distinct)] = 0
-        hit = np.flatnonzero(distinct[place] == distinct + step)
+        hit = np.flatnonzero(distinct[place] == beside)
         pairs.append(np.stack([hit, place[hit]], axis=1))
     return cell_of, sizes.astype(np.int64), np.concatenate(pairs)
 
 
-def _join_parts(
-    points: FloatArray, groups: NDArray[np.intp], core: MaskArray, part: LabelArray, eps: float
-) -> LabelArray:
-    """Give parts with core points within eps of each other one number.
-
-    Searches only around points off the largest part of their group: every link has an end there.
-    """
-    numbers, dense = np.unique(part[core], return_inverse=True)
-    joined = np.full(len(part), -1, dtype=np.int64)
-    joined[core] = dense
-    core_indices = np.flatnonzero(core)
-    sizes = np.bincount(dense)
-    group_of = np.empty(len(numbers), dtype=np.intp)
-    group_of[dense] = groups[core_indices]
+def _parts(points: FloatArray, groups: NDArray[np.intp], eps: float) -> LabelArray:
+    """The cluster (N,) of each of core points (N, 3): those within eps of each other share one."""
+    cell_of, cell_sizes, touching = _grid(points, eps / math.sqrt(12.0) * (1 - 1e-9), _HALF_AROUND)
+    part = _components(len(cell_sizes), touching)[cell_of]
+    # Gaps wider than a cell are searched around points off the largest part of their group: every link over
+    # one has an end there.
+    sizes = np.bincount(part)
+    group_of = np.empty(len(sizes), dtype=np.intp)
+    group_of[part] = groups
     by_size = np.lexsort((-sizes, group_of))
-    is_largest = np.zeros(len(numbers), dtype=np.bool_)
+    is_largest = np.zeros(len(sizes), dtype=np.bool_)
     is_largest[by_size[np.concatenate([[True], np.diff(group_of[by_size]) > 0])]] = True
-    off = np.flatnonzero(~is_largest[dense])
+    off = np.flatnonzero(~is_largest[part])
     if len(off) == 0:
-        return joined
+        return part
     # Most parts touch the largest of their group: one nearest neighbour a point shows it. Only parts that do
     # not, and links among them, need all neighbours.
-    main = np.flatnonzero(is_largest[dense])
-    nearest = _nearest_within(points[core_indices[main]], points[core_indices[off]], eps)
+    main = np.flatnonzero(is_largest[part])
+    nearest = _nearest_within(points[main], points[off], eps)
     near = nearest >= 0
-    links = np.stack([dense[off[near]], dense[main[nearest[near]]]], axis=1)
-    loose = np.ones(len(numbers), dtype=np.bool_)
+    links = np.stack([part[off[near]], part[main[nearest[near]]]], axis=1)
+    loose = np.ones(len(sizes), dtype=np.bool_)
     loose[links[:, 0]] = False
-    far = off[loose[dense[off]]]
+    far = off[loose[part[off]]]
     if len(far):
-        found: Any = _tree(points[core_indices[off]]).query_ball_point(points[core_indices[far]], eps)
+        found: Any = quick_tree(points[off]).query_ball_point(points[far], eps)
         lengths = [len(hits) for hits in found]
         others = off[np.concatenate([np.asarray(hits, dtype=np.int64) for hits in found])]
-        links = np.concatenate([links, np.stack([dense[np.repeat(far, lengths)], dense[others]], axis=1)])
-    joined[core] = _components(len(numbers), links)[dense]
-    return joined
+        links = np.concatenate([links, np.stack([part[np.repeat(far, lengths)], part[others]], axis=1)])
+    return _components(len(sizes), links)[part]
 
 
 def _components(nodes: int, links: LabelArray) -> LabelArray:
@@ -143,13 +137,17 @@ def _components(nodes: int, links: LabelArray) -> LabelArray:
 def _nearest_within(points: FloatArray, asked: FloatArray, eps: float) -> LabelArray:
     """Index (M,) of the nearest of points (N, 3) to each of `asked` (M, 3), -1 where none is within eps."""
     # The bound of a query is exclusive, eps is not.
-    distance, nearest = _tree(points).query(asked, distance_upper_bound=float(np.nextafter(eps, np.inf)))
+    bound = float(np.nextafter(eps, np.inf))
+    distance, nearest = quick_tree(points).query(asked, distance_upper_bound=bound)
     return np.where(np.isfinite(distance), nearest, -1).astype(np.int64)
 
 
-def _tree(points: FloatArray) -> KDTree:
-    """A KD-tree made for few searches: quick to build."""
-    return KDTree(points, balanced_tree=False, compact_nodes=False)
+def _have_within(points: FloatArray, asked: FloatArray, n: int, eps: float) -> MaskArray:
+    """(M,) bool: which of `asked` (M, 3) have n of points (N, 3) within eps: the n-th nearest tells."""
+    bound = float(np.nextafter(eps, np.inf))
+    distance: Any = quick_tree(points).query(asked, k=[n], distance_upper_bound=bound)[0]
+    within: MaskArray = np.isfinite(distance[:, 0])
+    return within
 
 
 def _number_by_first(part: LabelArray) -> LabelArray:

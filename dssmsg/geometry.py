@@ -45,6 +45,17 @@ def pixel_rays(camera: Camera) -> FloatArray:
     return rays
 
 
+def world_rays(
+    camera: Camera, world_from_camera_rotation: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """World x, y and z, each (H, W), of the pixels' viewing rays; in the camera frame these have z = 1."""
+    rotation = np.asarray(world_from_camera_rotation, dtype=np.float64)
+    u = (np.arange(camera.width) - camera.cx) / camera.fx
+    v = (np.arange(camera.height) - camera.cy) / camera.fy
+    x, y, z = (row[0] * u + (row[1] * v + row[2])[:, None] for row in rotation)
+    return x, y, z
+
+
 def back_project(depth: ArrayLike, camera: Camera, mask: ArrayLike | None = None) -> FloatArray:
     """Camera points (N, 3) of the pixels with a reading, in row-major pixel order.
 

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-VALUES = {"errors", "config_yaml", "frame", "events", "geometry", "interfaces", "checks"}
+VALUES = {"errors", "config_yaml", "frame", "events", "geometry", "neighbours", "interfaces", "checks"}
 """What everybody may build on: values, contracts, exact geometry. Among themselves: see `ALLOWED`."""
 HOST = {
     "config", "config_errors", "config_layers", "config_schema", "contexts",
@@ -28,10 +28,11 @@ ALLOWED: dict[str, set[str]] = {
     "config_yaml": {"errors"},  # reads any YAML with bounds; knows nothing of the configuration
     "frame": set(),
     "geometry": {"frame"},
+    "neighbours": {"frame"},
     "events": {"frame", "graph", "interfaces"},  # `interfaces` for annotations only
     "interfaces": {"frame", "events", "graph"},
     "checks": {"frame", "events", "graph", "interfaces"},
-    "graph": {"errors", "frame", "geometry"},
+    "graph": {"errors", "frame", "geometry", "neighbours"},
     "baselines": {"cluster", "frame", "geometry", "graph"},
     # the host and what stands beside it
     "host": VALUES | HOST | {"graph"},

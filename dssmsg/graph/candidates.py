@@ -17,6 +17,7 @@ from dssmsg.graph.evidence import SightRule, View, look_at, telling
 from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
 from dssmsg.graph.scoring import neighbour_share, neighbour_tolerance, sampled_share, semantic_similarity
 from dssmsg.graph.view import GraphView
+from dssmsg.neighbours import quick_tree
 
 _SIGHT = SightRule()
 
@@ -87,7 +88,7 @@ class Candidates:
             s_geo, exact = self._share(observation, node, tolerance, needed)
             overlap = None
             if s_geo >= needed and not alike:
-                observation_tree = observation_tree or KDTree(observation.points_world)
+                observation_tree = observation_tree or quick_tree(observation.points_world)
                 overlap = min(s_geo, self._covered(frame, node, observation_tree, tolerance))
             enough = alike or (overlap is not None and overlap >= self._rule.merge_min_overlap)
             allowed = 0.0 < s_geo >= needed and enough

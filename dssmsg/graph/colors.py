@@ -19,11 +19,8 @@ def hsv_of(colors: ByteArray) -> FloatArray:
     spread = high - low
     safe = np.where(spread > 0, spread, 1.0)
     r, g, b = rgb.T
-    hue = np.select(
-        [high == r, high == g],
-        [((g - b) / safe) % 6.0, (b - r) / safe + 2.0],
-        (r - g) / safe + 4.0,
-    )
+    hue = np.where(high == g, (b - r) / safe + 2.0, (r - g) / safe + 4.0)
+    hue = np.where(high == r, ((g - b) / safe) % 6.0, hue)
     hue = np.where(spread > 0, hue / 6.0, 0.0)
     return np.stack([hue, spread / np.where(high > 0, high, 1.0), high], axis=1)
 
@@ -38,16 +35,21 @@ def color_histogram(colors: ByteArray, gain: float = 1.0) -> FloatArray:
         return np.zeros(VALUES * (1 + HUES * SATURATIONS))
     hue, saturation, value = hsv_of(colors).T
     value = np.minimum(value * gain, 1.0)
-    chroma = np.clip((saturation - _GREY / 2) / _GREY, 0.0, 1.0) * np.clip(value / 0.1, 0.0, 1.0)
-    histogram = np.zeros((VALUES, 1 + HUES * SATURATIONS))
+    chroma = np.clip((saturation - _GREY / 2) / _GREY, 0.0, 1.0) * np.minimum(value / 0.1, 1.0)
+    hues = _split_round(hue * HUES)
+    saturations = _split(saturation * (SATURATIONS - 1), SATURATIONS)
+    bins, weights = [], []
     for value_bin, value_weight in _split(value * (VALUES - 1), VALUES):
-        np.add.at(histogram[:, 0], value_bin, value_weight * (1 - chroma))
-        for hue_bin, hue_weight in _split_round(hue * HUES):
-            for sat_bin, sat_weight in _split(saturation * (SATURATIONS - 1), SATURATIONS):
-                column = 1 + hue_bin * SATURATIONS + sat_bin
-                np.add.at(histogram, (value_bin, column), value_weight * hue_weight * sat_weight * chroma)
-    flat: FloatArray = histogram.reshape(-1) / len(colors)
-    return flat
+        row = value_bin * (1 + HUES * SATURATIONS)
+        bins.append(row)
+        weights.append(value_weight * (1 - chroma))
+        for hue_bin, hue_weight in hues:
+            for sat_bin, sat_weight in saturations:
+                bins.append(row + (1 + hue_bin * SATURATIONS + sat_bin))
+                weights.append(value_weight * hue_weight * sat_weight * chroma)
+    size = VALUES * (1 + HUES * SATURATIONS)
+    histogram = np.bincount(np.concatenate(bins), np.concatenate(weights), minlength=size)
+    return np.asarray(histogram / len(colors), dtype=np.float64)
 
 
 def histogram_similarity(a: FloatArray, b: FloatArray) -> float:
@@ -66,8 +68,8 @@ def mean_value(colors: ByteArray) -> float:
 
 
 def _split(position: FloatArray, count: int) -> list[tuple[NDArray[np.int64], FloatArray]]:
-    low = np.clip(np.floor(position).astype(np.int64), 0, count - 1)
-    share = np.clip(position - low, 0.0, 1.0)
+    low = np.minimum(position.astype(np.int64), count - 1)  # positions are not negative
+    share = np.minimum(position - low, 1.0)
     return [(low, 1.0 - share), (np.minimum(low + 1, count - 1), share)]
 
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from dssmsg.frame import Float32Array, FloatArray, Frame, MaskArray
 from dssmsg.geometry import Sight, sight_of_points
 from dssmsg.graph.stations import Stations
-from dssmsg.graph.voxels import VOXEL_M, KeyArray, voxel_keys
+from dssmsg.graph.voxels import VOXEL_M, KeyArray, contained, distinct, first_of_run, voxel_keys
+from dssmsg.neighbours import near_any, quick_tree
 
 MIN_OUTSIDE = 2
 """Frames that must have shown a voxel outside before it is refused."""
@@ -30,13 +30,14 @@ MIN_SHRINK_M = 0.05
 """A cloud is cut where its box becomes this much shorter on an axis, metres; what changes less stays."""
 OUTGROWN, MIN_OUTGROWN_M = 1.5, 0.05
 """What becomes this many times and metres wider grows more than one place is trusted with."""
+_NO_STATION = np.iinfo(np.int32).max
 _STEPS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) * VOXEL_M
 
 
 @dataclass(frozen=True, slots=True)
 class _Votes:
     """Ascending voxel keys (N,), how many frames showed each inside and outside, and the stations that showed
-    it inside, as the lowest and the highest number (-1: none)."""
+    it inside, as the lowest and the highest number (none: `_NO_STATION` and -1)."""
 
     keys: KeyArray
     inside: NDArray[np.int32]
@@ -48,22 +49,33 @@ class _Votes:
     def of_frame(cls, keys: KeyArray, inside: bool, station: int) -> _Votes:
         """One frame's votes on ascending voxels."""
         one, none = np.ones(len(keys), np.int32), np.zeros(len(keys), np.int32)
-        at = np.full(len(keys), station if inside else -1, np.int32)
-        return cls(keys, one if inside else none, none if inside else one, at, at)
+        first = np.full(len(keys), station if inside else _NO_STATION, np.int32)
+        last = np.full(len(keys), station if inside else -1, np.int32)
+        return cls(keys, one if inside else none, none if inside else one, first, last)
 
     @classmethod
     def counted(cls, parts: Sequence[_Votes]) -> _Votes:
         """The sum of several."""
-        keys, place = np.unique(np.concatenate([part.keys for part in parts]), return_inverse=True)
-        inside, outside = (np.zeros(len(keys), dtype=np.int32) for _ in range(2))
-        np.add.at(inside, place, np.concatenate([part.inside for part in parts]))
-        np.add.at(outside, place, np.concatenate([part.outside for part in parts]))
-        none = np.iinfo(np.int32).max
-        first, last = np.full(len(keys), none, np.int32), np.full(len(keys), -1, np.int32)
-        stations = np.concatenate([part.first for part in parts])
-        np.minimum.at(first, place, np.where(stations < 0, none, stations).astype(np.int32))
-        np.maximum.at(last, place, np.concatenate([part.last for part in parts]))
-        return cls(keys, inside, outside, np.where(first == none, -1, first).astype(np.int32), last)
+        parts = [part for part in parts if len(part.keys)] or list(parts[:1])
+        if len(parts) == 1:
+            return parts[0]
+        keys = np.concatenate([part.keys for part in parts])
+        order = np.argsort(keys)
+        keys = keys[order]
+        starts = np.flatnonzero(first_of_run(keys))
+
+        def over(operation: np.ufunc, name: str) -> NDArray[np.int32]:
+            values = np.concatenate([getattr(part, name) for part in parts])[order]
+            result: NDArray[np.int32] = operation.reduceat(values, starts, dtype=np.int32)
+            return result
+
+        return cls(
+            keys[starts],
+            inside=over(np.add, "inside"),
+            outside=over(np.add, "outside"),
+            first=over(np.minimum, "first"),
+            last=over(np.maximum, "last"),
+        )
 
 
 class Extents:
@@ -90,12 +102,12 @@ class Extents:
         """
         sight = sight_of_points(cloud, frame.depth, frame.camera, frame.world_from_camera, tolerance)
         shown = cloud[sight == Sight.ON_SURFACE]
-        outside = shown[~_near(shown, seen, tolerance)]
+        outside = shown[~near_any(shown, seen, tolerance)]
         for other in others:
-            outside = outside[~_near(outside, other, tolerance)]
-        out_keys = np.unique(voxel_keys(outside))
-        in_keys = np.unique(np.concatenate([voxel_keys(shown), voxel_keys(seen)]))
-        in_keys = in_keys[~np.isin(in_keys, out_keys)]
+            outside = outside[~near_any(outside, other, tolerance)]
+        out_keys = distinct(voxel_keys(outside))
+        in_keys = distinct(np.concatenate([voxel_keys(shown), voxel_keys(seen)]))
+        in_keys = in_keys[~contained(in_keys, out_keys)]
         station = self._stations.number(frame.world_from_camera[:3, 3])
         parts = [_Votes.of_frame(in_keys, True, station), _Votes.of_frame(out_keys, False, station)]
         if object_id in self._votes:
@@ -107,24 +119,28 @@ class Extents:
 
         The votes decide on a voxel that enough frames showed; any other goes with the nearest one decided.
         """
+        return _with_nearest(points, *self._decided(object_id, points))
+
+    def cut(self, object_id: str, cloud: Float32Array) -> MaskArray | None:
+        """(N,) bool: which points of a cloud (N, 3) to keep; None where the cut would not shrink it."""
+        refused, sure = self._decided(object_id, cloud)
+        if not shrinks(cloud, sure):  # whatever else stays can only make it larger
+            return None
+        belongs = _with_nearest(cloud, refused, sure)
+        return belongs if shrinks(cloud, belongs) else None
+
+    def _decided(self, object_id: str, points: Float32Array) -> tuple[MaskArray, MaskArray]:
+        """(N,), (N,) bool: which points (N, 3) the votes refuse, and which they are sure of."""
         votes = self._votes.get(object_id)
-        fits: MaskArray = np.ones(len(points), dtype=np.bool_)
-        if votes is None:
-            return fits
+        if votes is None or not len(votes.keys):
+            none = np.zeros(len(points), dtype=np.bool_)
+            return none, none
         place = np.searchsorted(votes.keys, keys := voxel_keys(points))
         place[place == len(votes.keys)] = 0
         known = votes.keys[place] == keys
         inside, outside = (np.where(known, count[place], 0) for count in (votes.inside, votes.outside))
         rare = inside < self._share * (inside + outside)
-        refused = rare & (outside >= MIN_OUTSIDE)
-        sure = ~rare & (inside >= MIN_INSIDE)
-        if not refused.any() or not sure.any():
-            return fits
-        decided = refused | sure
-        fits[decided] = sure[decided]
-        _, nearest = KDTree(points[decided]).query(points[~decided])
-        fits[~decided] = sure[decided][nearest]
-        return fits
+        return rare & (outside >= MIN_OUTSIDE), ~rare & (inside >= MIN_INSIDE)
 
     def confirmed(self, object_id: str, points: Float32Array, *, elsewhere: bool) -> MaskArray:
         """(N,) bool: which points (N, 3) lie in a voxel that two frames had inside, or next to one; with
@@ -137,7 +153,7 @@ class Extents:
         known = votes.keys[agreed]
         near: MaskArray = np.zeros(len(points), dtype=np.bool_)
         for step in _STEPS:
-            near |= np.isin(voxel_keys(points + step), known)
+            near |= contained(voxel_keys(points + step), known)
         return near
 
     def join(self, object_id: str, absorbed_id: str) -> None:
@@ -172,14 +188,17 @@ def outgrows(box_min: FloatArray, box_max: FloatArray, points: Float32Array) -> 
 
 def _cleared(votes: _Votes, other: _Votes) -> _Votes:
     """Without the votes against voxels that were inside the other one."""
-    known = np.isin(votes.keys, other.keys[other.inside > 0])
+    known = contained(votes.keys, other.keys[other.inside > 0])
     return replace(votes, outside=np.where(known, 0, votes.outside).astype(np.int32))
 
 
-def _near(points: Float32Array, cloud: Float32Array, tolerance: float) -> MaskArray:
-    """(N,) bool: which points have a point of the cloud within the tolerance."""
-    if not len(points):
-        return np.zeros(0, dtype=np.bool_)
-    distances, _ = KDTree(cloud).query(points, distance_upper_bound=tolerance)
-    near: MaskArray = np.isfinite(distances)
-    return near
+def _with_nearest(points: Float32Array, refused: MaskArray, sure: MaskArray) -> MaskArray:
+    """(N,) bool: which points (N, 3) belong, where the undecided go with the nearest one decided."""
+    fits: MaskArray = np.ones(len(points), dtype=np.bool_)
+    if not refused.any() or not sure.any():
+        return fits
+    decided = refused | sure
+    fits[decided] = sure[decided]
+    _, nearest = quick_tree(points[decided]).query(points[~decided])
+    fits[~decided] = sure[decided][nearest]
+    return fits

@@ -65,12 +65,14 @@ class Presence:
         self._colors = colors
         self._runs: dict[str, _Runs] = {}
         self._left: dict[str, tuple[Float32Array, ByteArray]] = {}
+        self._clouds: dict[str, tuple[Float32Array, Float32Array, ByteArray]] = {}
         self.gain: float | None = None
         """How much brighter than the stored colours this visit's light is; None before anything tells."""
 
     def begin_visit(self) -> None:
         """The light may be another one."""
         self.gain = None
+        self._clouds.clear()
 
     def look(self, view: View, observed: Collection[str], expected: Collection[str]) -> list[Evidence]:
         """What the view says of every object whose box is in sight, and of the `expected` ones; by id.
@@ -124,6 +126,7 @@ class Presence:
         """Start anew with an object: it is elsewhere, or another thing."""
         self._runs.pop(object_id, None)
         self._left.pop(object_id, None)
+        self._clouds.pop(object_id, None)
 
     # -----------------------------------------------------------------------------------------------------
 
@@ -145,13 +148,18 @@ class Presence:
         return Evidence(view.frame, node.id, verdict, values)
 
     def _cloud(self, node: ObjectNode) -> tuple[Float32Array, ByteArray]:
-        """Points and colours to ask: the thing as the last visit left it, without its underside.
+        """Points and colours to ask: some of the thing as the last visit left it, without its underside.
 
         What this visit merged into it may be another thing of its kind, in its place.
         """
         points, colors = self._left.get(node.id, (node.points, node.colors))
-        high = telling(points)
-        return points[high], colors[high]
+        known = self._clouds.get(node.id)
+        if known is None or known[0] is not points:
+            high = telling(points)
+            count = self._rule.sample
+            known = points, sampled(points[high], count), sampled(colors[high], count)
+            self._clouds[node.id] = known
+        return known[1], known[2]
 
     def _without_neighbours(self, node: ObjectNode, cloud: Float32Array, sight: PlaceSight) -> PlaceSight:
         """The sight without points that lie on another object's surface.
@@ -161,7 +169,7 @@ class Presence:
         """
         if not _DOUBT < sight.free < self._rule.free_share:
             return sight
-        points = sampled(cloud, self._rule.sample)[sight.on_surface]
+        points = cloud[sight.on_surface]
         foreign = np.zeros(len(points), dtype=np.bool_)
         for object_id in self._graph.objects_touching(node.box_min, node.box_max):
             other = self._graph.objects[object_id]
@@ -202,8 +210,7 @@ class Presence:
         on = sight.on_surface
         if np.count_nonzero(on) < _MIN_COLOR_POINTS:
             return None
-        stored = sampled(colors, self._rule.sample)
-        return stored[on], view.rgb[sight.rows[on], sight.columns[on]]
+        return colors[on], view.rgb[sight.rows[on], sight.columns[on]]
 
     def _follow_light(self, colors: Mapping[str, tuple[np.ndarray, np.ndarray] | None]) -> None:
         """The gain of this visit's light: median over the objects in view, smoothed over frames."""

@@ -27,6 +27,7 @@ from dssmsg.graph.rules import EdgeKey, Effect, edge_key, effect_of
 from dssmsg.graph.spatial import BoxIndex, PointIndex
 from dssmsg.graph.tables import Table
 from dssmsg.graph.voxels import KeyArray, contained, voxel_keys
+from dssmsg.neighbours import quick_tree
 
 
 class SceneGraph:
@@ -225,7 +226,7 @@ class SceneGraph:
         points = self._objects.rows[object_id].points
         cached = self._trees.get(object_id)
         if cached is None or cached[0] is not points:
-            cached = self._trees[object_id] = (points, KDTree(points))
+            cached = self._trees[object_id] = (points, quick_tree(points))
         return cached[1]
 
     def known_voxels(self, object_id: str, points: Float32Array) -> MaskArray:

@@ -46,6 +46,19 @@ def contained(keys: KeyArray, sorted_keys: KeyArray) -> MaskArray:
     return found
 
 
+def first_of_run(sorted_keys: KeyArray) -> MaskArray:
+    """(N,) bool: which of ascending keys differ from the one before; the first does."""
+    first: MaskArray = np.ones(len(sorted_keys), dtype=np.bool_)
+    np.not_equal(sorted_keys[1:], sorted_keys[:-1], out=first[1:])
+    return first
+
+
+def distinct(keys: KeyArray) -> KeyArray:
+    """The keys, each once, ascending."""
+    ordered = np.sort(keys)  # faster than np.unique, which hashes
+    return ordered[first_of_run(ordered)]
+
+
 def first_in_voxel(keys: KeyArray) -> MaskArray:
     """(N,) bool: True for the first point of each cell, in the order given."""
     mask = np.zeros(len(keys), dtype=np.bool_)

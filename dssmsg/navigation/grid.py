@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dssmsg.frame import FloatArray, Frame, IntArray, MaskArray
-from dssmsg.geometry import Sight, depth_sigma, pixel_rays, sight_of_points
+from dssmsg.geometry import Sight, depth_sigma, sight_of_points, world_rays
 from dssmsg.navigation.astar import Cell
 from dssmsg.navigation.footprint import covered
 
@@ -218,18 +218,22 @@ class RollingGrid:
         """Count the frame's points into cells; (n, n) bool: cells in which it shows something standing."""
         o, n = self.options, self._count
         assert self._corner is not None
-        depth = frame.depth.reshape(-1).astype(np.float64)
-        pixels = np.flatnonzero((depth > 0) & (depth < o.max_range))
-        rays = pixel_rays(frame.camera)[pixels] @ frame.world_from_camera[:3, :3].T
-        points = rays * depth[pixels, None] + frame.world_from_camera[:3, 3]
-        row = np.floor(points[:, 0] / o.cell).astype(np.int64) - self._corner[0]
-        column = np.floor(points[:, 1] / o.cell).astype(np.int64) - self._corner[1]
-        within = (row >= 0) & (row < n) & (column >= 0) & (column < n)
+        depth = frame.depth.astype(np.float64)
+        x, y, fall = world_rays(frame.camera, frame.world_from_camera[:3, :3])
+        place = frame.world_from_camera[:3, 3]
+        height = fall * depth + (float(place[2]) - float(frame.world_from_base[2, 3]))
         # Along a ray the reading errs by sigma, so in height by sigma times the ray's fall.
-        slack = 3.0 * depth_sigma(depth[pixels], o.noise) * np.abs(rays[:, 2])
-        flat, height = row * n + column, points[:, 2] - float(frame.world_from_base[2, 3])
-        standing = within & (height > o.low + slack) & (height < o.high)
-        floor = within & (height <= o.low + slack) & (height > -0.1 - slack)
+        slack = 3.0 * depth_sigma(depth, o.noise) * np.abs(fall)
+        telling = (depth > 0) & (depth < o.max_range) & (height > -0.1 - slack) & (height < o.high)
+        pixels = np.flatnonzero(telling)
+        depth, height, slack = (values.reshape(-1)[pixels] for values in (depth, height, slack))
+        row, column = (
+            np.floor((rays.reshape(-1)[pixels] * depth + start) / o.cell).astype(np.int64) - low
+            for rays, start, low in zip((x, y), place[:2], self._corner, strict=True)
+        )
+        within = (row >= 0) & (row < n) & (column >= 0) & (column < n)
+        flat, high = row * n + column, height > o.low + slack
+        standing, floor = within & high, within & ~high
         hits = np.bincount(flat[standing], minlength=n * n).reshape(n, n)
         seen_floor = np.bincount(flat[floor], minlength=n * n).reshape(n, n)
         heights = np.bincount(flat[standing], weights=height[standing], minlength=n * n).reshape(n, n)

@@ -224,7 +224,8 @@ class _FloorPlan:
             colors=[self._colours[row] for row in rows],
             show_labels=self._labelled,
         )
-        return [nodes, rr.GraphEdges(list(pairs), graph_type="undirected")]
+        ends = np.array(pairs, dtype=np.str_).reshape(-1, 2)  # as an array: pair by pair is slow
+        return [nodes, rr.GraphEdges(ends, graph_type="undirected")]
 
 
 def spread_labels(positions: _Points, lengths: Sequence[int]) -> _Points:

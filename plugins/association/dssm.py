@@ -29,7 +29,7 @@ from dssmsg.graph.changes import (
     ObjectsJoined,
     Score,
 )
-from dssmsg.graph.extent import Extents, outgrows, shrinks
+from dssmsg.graph.extent import Extents, outgrows
 from dssmsg.graph.fusion import appended, counted
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.joining import Join, aligned_pieces, contained_pieces, fragments
@@ -279,8 +279,8 @@ class DssmAssociation:
         ]
         tolerance = neighbour_tolerance(observation.range_m, self._noise)
         self._extents.vote(object_id, node.points, observation.points_world, others, frame, tolerance)
-        belongs = self._extents.belongs(object_id, node.points)
-        if not shrinks(node.points, belongs):
+        belongs = self._extents.cut(object_id, node.points)
+        if belongs is None:
             return []
         share = float(np.mean(belongs))
         return [
