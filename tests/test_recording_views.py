@@ -20,7 +20,7 @@ from dssmsg.cli import main
 from dssmsg.errors import ConfigError
 from dssmsg.graph import changes as ch
 from dssmsg.graph.changes import Cause, Score
-from dssmsg.graph.codec import graph_from_json
+from dssmsg.graph.codec import graph_from_json, graph_to_json
 from dssmsg.graph.compare import same
 from dssmsg.graph.nodes import NEAR, PATH, SEES
 from dssmsg.recording import blueprint, describe, looks, palette, schema
@@ -63,6 +63,23 @@ def test_an_edge_finds_its_nodes_in_its_own_entity(run: SyntheticRun) -> None:
         assert ids, name
         assert pairs, name
         assert all(pair["first"] in ids and pair["second"] in ids for pair in pairs), name
+
+
+def test_a_blocked_way_is_pruned_from_the_graph_views(run: SyntheticRun) -> None:
+    graph = graph_from_json(graph_to_json(run.live))
+    ways = [edge for edge in graph.edges.values() if edge.kind == PATH]
+    blocked = next(edge for edge in ways if not edge.attributes.get("blocked"))
+    ends = {"source": blocked.source, "target": blocked.target}
+    cause = Cause("navigation/test", "blocked")
+    graph.apply(ch.EdgeChanged(cause=cause, edge=PATH, **ends, attributes={"blocked": True}))
+    for name in ("map", "all", PATH):
+        drawn = {
+            tuple(pair.values())
+            for pair in looks.graph_looks(graph)[name][1].edges.as_arrow_array().to_pylist()
+        }
+        assert (blocked.source, blocked.target) not in drawn
+        assert drawn
+    assert len(looks.edges_looks(graph)["blocked"].strips.as_arrow_array()) > 0
 
 
 def test_boxes_are_those_of_the_graph(run: SyntheticRun) -> None:

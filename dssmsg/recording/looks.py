@@ -159,12 +159,15 @@ def place(graph: GraphView, node_id: str) -> FloatArray | None:
 
 
 def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdges]]:
-    """The graph views: `map` (without `sees`), `all`, and one an edge kind.
+    """The graph views: `map` (without `sees`), `all`, and one an edge kind. Blocked ways are left out: their
+    edges have been pruned.
 
     An edge finds only nodes of its own entity, so each has its own.
     """
     edges: dict[str, dict[tuple[str, str], Edge]] = {PATH: {}, SEES: {}, NEAR: {}}
     for edge in graph.edges.values():
+        if edge.attributes.get("blocked"):
+            continue
         source = edge.source
         if edge.kind == SEES:  # drawn from the waypoint: its viewpoints stand in one place
             viewpoint = graph.viewpoints.get(source)
