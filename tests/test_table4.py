@@ -10,9 +10,10 @@ import pytest
 from floor_graph import CAUSE, FloorGraph, camera_pose
 from project import project
 
+from dssmsg.config import load_config
 from dssmsg.errors import ConfigError, InputError
 from dssmsg.evaluate.queries import KINDS, Query, generated_queries, load_queries
-from dssmsg.evaluate.table4 import METHODS, Answer, by_waypoint, chance_level, describe, table4_rows
+from dssmsg.evaluate.table4 import METHODS, Answer, by_waypoint, chance_level, describe, slot_of, table4_rows
 from dssmsg.evaluate.viewpoint_truth import ViewpointTruth
 from dssmsg.events import Candidate
 from dssmsg.frame import Truth, TruthObject
@@ -242,3 +243,14 @@ def test_wrong_options_name_what_is_accepted(tmp_path, options, said):
     done = project(tmp_path).run("eval", "table4", "--perception", "oracle", *options)
     assert done.code == 2
     assert said in done.err
+
+
+def test_configured_options_hold_for_the_rows_of_their_plug_in():
+    asked = load_config(None, sets=["grounding={use: dssm, relation_weight: 0.25, vanished: 0.5}"])
+    assert slot_of(asked, "configured").flat() == asked.grounding.flat()
+    assert slot_of(asked, "dssm").flat() == asked.grounding.flat()
+    assert slot_of(asked, "dssm_paper").flat() == {
+        **METHODS["dssm_paper"],
+        "vanished": 0.5,
+    }
+    assert slot_of(asked, "objects").flat() == {"use": "objects"}

@@ -18,7 +18,11 @@ def register(group: typer.Typer) -> None:
     @group.command()
     def table4(
         methods: Annotated[
-            str, typer.Option(metavar="A,B", help="Of dssm, dssm_paper, image, objects, objects_core.")
+            str,
+            typer.Option(
+                metavar="A,B",
+                help="Of dssm, dssm_paper, image, objects, objects_core, configured (what `grounding` says).",
+            ),
         ] = "dssm,dssm_paper,image,objects",
         scenes: ScenesOption = "rs_int,ihlen_1_int",
         perception: Annotated[str, typer.Option(metavar="A,B", help="Perception plug-ins.")] = "furniture",

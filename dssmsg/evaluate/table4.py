@@ -44,9 +44,11 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
     "image": {"use": "image"},
     "objects": {"use": "objects"},
     "objects_core": {"use": "objects", "query": "core"},
+    "configured": {},
 }  # fmt: skip
 """What each row of the table is: `dssm_paper` is the paper's formula alone, `objects_core` the baseline that
-gets the language model's reading of the sentence, too."""
+gets the language model's reading of the sentence, too, `configured` the slot `grounding`. The options of
+that slot hold for every row of its plug-in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +151,7 @@ class _Asker:
         frame = self._frame(state)
         graph = self._recording.graph_at(frame)
         self._contexts.graph = ReadOnlyGraph(graph)
-        plugins = {name: self._build("grounding", Slot.model_validate(METHODS[name])) for name in methods}
+        plugins = {name: self._build("grounding", slot_of(self._config, name)) for name in methods}
         gone = self._truth.gone(frame)
         here = [known for name, known in self._truth.objects(frame).items() if name not in gone]
         for query in (*queries, *generated_queries(here, generated, seed)):
@@ -191,6 +193,13 @@ class _Asker:
     def _build(self, kind: str, slot: Slot) -> Any:
         built = self._host.build(kind, slot, self._contexts, base_dir=self._config.base_dir, key=kind)
         return built.plugin
+
+
+def slot_of(config: RunConfig, method: str) -> Slot:
+    """The plug-in and options of a method: its own, over the configured ones of the same plug-in."""
+    own = METHODS[method]
+    asked = config.grounding.flat()
+    return Slot.model_validate({**asked, **own} if own.get("use", asked["use"]) == asked["use"] else own)
 
 
 def by_waypoint(graph: GraphView, candidates: Iterable[Candidate]) -> list[Candidate]:
