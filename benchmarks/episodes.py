@@ -1,6 +1,6 @@
 """How long `dssmsg episodes` takes over many recordings: read for the first time, and remembered.
 
-    python benchmarks/episodes.py [--runs 500] [--frames 6] [--folder FOLDER]
+    python benchmarks/episodes.py [--runs 500] [--frames 6] [--folder FOLDER] [--json]
 
 Writes small recordings (kept in FOLDER where it is given, and used again), then times the whole command in
 processes of its own: cold, and with what was remembered. Wall time depends on who else works on the machine;
@@ -10,6 +10,7 @@ processor time less so.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import resource
 import subprocess
@@ -81,17 +82,24 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=500)
     parser.add_argument("--frames", type=int, default=6)
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dssmsg-episodes-") as scratch:
         folder = arguments.folder or Path(scratch) / "recordings"
         make(folder, arguments.runs, arguments.frames)
         cache = Path(scratch) / "cache"
-        for name in ("cold", "remembered"):
-            wall, used, lines = measure(folder, cache)
-            print(
-                f"{name}: {arguments.runs} recordings in {wall:.2f} s ({used:.2f} s of processor),"
-                f" {lines} lines"
+        measured = {name: measure(folder, cache) for name in ("cold", "remembered")}
+    if arguments.json:
+        print(
+            json.dumps(
+                {name: {"seconds": wall, "cpu_seconds": used} for name, (wall, used, _) in measured.items()}
             )
+        )
+        return
+    for name, (wall, used, lines) in measured.items():
+        print(
+            f"{name}: {arguments.runs} recordings in {wall:.2f} s ({used:.2f} s of processor), {lines} lines"
+        )
 
 
 if __name__ == "__main__":

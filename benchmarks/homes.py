@@ -25,9 +25,10 @@ TABLE_3 = {"update_success": 1.0, "static_retention": 0.99, "accuracy_gain": Non
 Figures = dict[tuple[str, str, str], dict]
 
 
-def figures_of(cwd: Path, table: str, perception: str, work: Path, *more: str) -> Figures:
-    """Rows of `dssmsg eval TABLE` by (scene, method, metric)."""
-    arguments = ("--perception", perception, "--jobs", JOBS, "--work", str(work), *more, "--json")
+def figures_of(cwd: Path, table: str, perception: str, work: Path, *more: str, jobs: bool = True) -> Figures:
+    """Rows of `dssmsg eval TABLE` by (scene, method, metric); `jobs`: whether it can do several at a time."""
+    several = ("--jobs", JOBS) if jobs else ()
+    arguments = ("--perception", perception, *several, "--work", str(work), *more, "--json")
     rows = json.loads(dssmsg("eval", table, *arguments, cwd=cwd).stdout)
     return {(row["scene"], row["method"], row["metric"]): row for row in rows}
 

@@ -28,7 +28,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import eyes
+import goals
 import homes
+import inspector
 from staging import ENVIRONMENT, ROOT, Row, code_hash, dssmsg, recording_of, run
 
 HERE = Path(__file__).resolve().parent
@@ -341,6 +343,8 @@ STAGES: dict[str, Callable[[Path], list[Row]]] = {
     "startup": startup,
     **eyes.STAGES,
     **homes.STAGES,
+    **goals.STAGES,
+    **inspector.STAGES,
 }
 
 
@@ -357,7 +361,7 @@ def main() -> int:
     options = parser.parse_args()
     if options.list:
         for name, stage in STAGES.items():
-            print(f"{name:12} {(stage.__doc__ or '').splitlines()[0]}")
+            print(f"{name:17} {(stage.__doc__ or '').splitlines()[0]}")
         return 0
     RESULTS.mkdir(parents=True, exist_ok=True)
     wanted = options.only or list(STAGES)

@@ -30,6 +30,7 @@ def register(group: typer.Typer) -> None:
         ] = 3,
         record: Annotated[bool, typer.Option("--record", help="Keep a recording of every run.")] = False,
         failures: Annotated[bool, typer.Option("--failures", help="Tell on stderr what went wrong.")] = False,
+        jobs: Annotated[int, typer.Option(min=1, max=64, help="Surveys worked on at a time.")] = 1,
         config: ConfigOption = None,
         sets: SetOption = None,
         work: Annotated[
@@ -50,7 +51,7 @@ def register(group: typer.Typer) -> None:
         """
         show_navigation(
             _names(scenes), homes, perception, episodes, seed, per_survey, obstacles, config, sets or (),
-            work, record=record, failures=failures, as_json=as_json,
+            work, jobs, record=record, failures=failures, as_json=as_json,
         )  # fmt: skip
 
 
@@ -65,6 +66,7 @@ def show_navigation(
     config: Path | None,
     sets: Sequence[str],
     work: Path | None,
+    jobs: int,
     *,
     record: bool,
     failures: bool,
@@ -80,7 +82,7 @@ def show_navigation(
         done = evaluate_navigation(
             folder, scenes=scene_list(scenes, homes), perception=perception, episodes=episodes,
             per_survey=per_survey, obstacles=obstacles, seed=seed, config=config, sets=sets,
-            record=record, progress=_progress,
+            record=record, jobs=jobs, progress=_progress,
         )  # fmt: skip
     for one in done:
         if failures and one.judged.outcome != "success":

@@ -10,11 +10,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib import metadata
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +25,7 @@ from dssmsg.evaluate.diagnosis_rules import build_rules
 from dssmsg.evaluate.diagnosis_views import opened_views
 from dssmsg.evaluate.faults.host import FaultyHost, Injection
 from dssmsg.evaluate.navigation_witness import EpisodeWitness
+from dssmsg.evaluate.workers import each
 from dssmsg.host import Host
 from dssmsg.mission.run import run_mission
 from dssmsg.review.diagnosis import CANNOT_TELL, FAULT, NO_FAULT, diagnose
@@ -121,28 +120,10 @@ def _pairs(
     progress: Callable[[str], None],
 ) -> list[Pair]:
     """The episodes of the seeds, in their order; several are made at a time, each in a process of its own."""
-    if jobs <= 1 or len(seeds) <= 1:
-        pairs = []
-        for seed in seeds:
-            pairs.append(make_pair(work, seed, config, sets))
-            progress(_made(pairs[-1]))
-        return pairs
-    # Not forked: the renderer and the recording hold threads.
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=8)
     made: dict[int, Pair] = {}
-    with pool:
-        waiting = {pool.submit(make_pair, work, seed, config, sets): seed for seed in seeds}
-        try:
-            for future in as_completed(waiting):
-                made[waiting[future]] = future.result()
-                progress(_made(made[waiting[future]]))
-        except BrokenProcessPool as error:
-            raise PluginError(
-                "ended the process of a run; start again to repeat it, with --jobs 1 to see which it was",
-                plugin="(one of them)",
-            ) from error
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    for number, pair in each(partial(make_pair, work, config=config, sets=sets), seeds, jobs):
+        made[seeds[number]] = pair
+        progress(_made(pair))
     return [made[seed] for seed in seeds]
 
 

@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from dssmsg.errors import InputError
 from dssmsg.evaluate.missions import fingerprint
 from dssmsg.evaluate.navigation_cases import Case, Home, make_case
 from dssmsg.evaluate.navigation_witness import EpisodeWitness, Judged
+from dssmsg.evaluate.workers import each
 from dssmsg.host import Host
 from dssmsg.mission.run import run_mission
 
@@ -73,55 +75,68 @@ def evaluate_navigation(
     config: Path | None = None,
     sets: Sequence[str] = (),
     record: bool = False,
+    jobs: int = 1,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> list[Episode]:
     """About `episodes` episodes, shared out evenly over the scenes, `per_survey` from each survey.
 
-    Finished surveys' episodes are kept in `work` and not driven again; they are recognised by their resolved
-    configuration and this package's version. Raises ConfigError and InputError as a run does.
+    `jobs` surveys are worked on at a time. Finished surveys' episodes are kept in `work` and not driven
+    again; they are recognised by their resolved configuration and this package's version. Raises ConfigError
+    and InputError as a run does, PluginError where a run ended its process.
     """
-    done: list[Episode] = []
-    left, homes, run_seed = episodes, dict[str, Home](), seed
-    while left > 0:
-        for scene in scenes:
-            if left <= 0:
-                break
-            count = min(per_survey, left)
-            batch = _one_survey(
-                work, homes, scene, run_seed, count, obstacles, perception, config, sets, record
-            )
-            done += batch
-            left -= count
-            won = sum(one.judged.outcome == "success" for one in batch)
-            progress(f"{scene}, seed {run_seed}, {perception}: {won} of {len(batch)} reached")
-        run_seed += 1
-    return done
+    surveys = _surveys(scenes, episodes, per_survey, seed)
+    setup = _Setup(work, perception, obstacles, config, tuple(sets), record)
+    done: dict[int, list[Episode]] = {}
+    for number, batch in each(partial(_one_survey, setup), surveys, jobs):
+        done[number] = batch
+        scene, run_seed, _ = surveys[number]
+        won = sum(one.judged.outcome == "success" for one in batch)
+        progress(f"{scene}, seed {run_seed}, {perception}: {won} of {len(batch)} reached")
+    return [episode for number in range(len(surveys)) for episode in done[number]]
 
 
-def _one_survey(
-    work: Path,
-    homes: dict[str, Home],
-    scene: str,
-    seed: int,
-    count: int,
-    obstacles: int,
-    perception: str,
-    config: Path | None,
-    sets: Sequence[str],
-    record: bool,
-) -> list[Episode]:
-    plain = load_config(config, sets=[f"source.scene={scene}", *sets])
-    assets = str(plain.source.options.get("assets", "auto"))
-    if scene not in homes:
-        homes[scene] = Home(scene, assets)
-    home = homes[scene]
-    case = make_case(home, seed, count, obstacles)
-    run = _configuration(case, perception, config, sets, record)
+Survey = tuple[str, int, int]
+"""A scene, the seed of the run, and how many episodes follow."""
+
+
+def _surveys(scenes: Sequence[str], episodes: int, per_survey: int, seed: int) -> list[Survey]:
+    """Scene by scene, then the next seed, until there are enough episodes."""
+    surveys: list[Survey] = []
+    for number, first in enumerate(range(0, episodes, per_survey)):
+        rounds, place = divmod(number, len(scenes))
+        surveys.append((scenes[place], seed + rounds, min(per_survey, episodes - first)))
+    return surveys
+
+
+@dataclass(frozen=True, slots=True)
+class _Setup:
+    """What all surveys of an evaluation share."""
+
+    work: Path
+    perception: str
+    obstacles: int
+    config: Path | None
+    sets: tuple[str, ...]
+    record: bool
+
+
+@cache
+def _home(scene: str, assets: str) -> Home:
+    return Home(scene, assets)
+
+
+def _one_survey(setup: _Setup, survey: Survey) -> list[Episode]:
+    """The judged episodes of a survey; driven now unless the work folder holds them."""
+    scene, seed, count = survey
+    plain = load_config(setup.config, sets=[f"source.scene={scene}", *setup.sets])
+    home = _home(scene, str(plain.source.options.get("assets", "auto")))
+    case = make_case(home, seed, count, setup.obstacles)
+    run = _configuration(case, setup.perception, setup.config, setup.sets, setup.record)
     with run.naming_files():
         host = Host.load(run.plugins, run.base_dir)
         host.check(run)
     name = re.sub(r"[^A-Za-z0-9_]+", "_", Path(scene).name)
-    folder = work / f"navigation-{name}-{perception}-{seed}-{fingerprint(run, host)}"
+    folder = setup.work / f"navigation-{name}-{setup.perception}-{seed}-{fingerprint(run, host)}"
     finished = folder / "episodes.json"
     if finished.is_file():
         return [_episode(row) for row in json.loads(finished.read_text("utf-8"))]
@@ -133,15 +148,16 @@ def _one_survey(
     if len(witness.judged) != len(case.goals):
         raise InputError(f"only {len(witness.judged)} of {len(case.goals)} episodes were driven", file=folder)
     method = f"{run.grounding.use} + {run.navigation.use}"
+    recording = str(result.summary.get("recording") or "")
     batch = [
         Episode(
             scene,
-            perception,
+            setup.perception,
             method,
             seed,
             judged,
             home.shortest(judged.start, judged.goals),
-            str(result.summary.get("recording") or ""),
+            recording,
         )
         for judged in witness.judged
     ]

@@ -9,21 +9,20 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import metadata
-from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from dssmsg.config import RunConfig, load_config
-from dssmsg.errors import ConfigError, PluginError
+from dssmsg.errors import ConfigError
 from dssmsg.evaluate.dynamic_states import GraphWatch, States
 from dssmsg.evaluate.dynamic_truth import RunTruth, run_truth
 from dssmsg.evaluate.missions import recorded_mission
 from dssmsg.evaluate.replay_score import ReplayScore, score_replay
+from dssmsg.evaluate.workers import each
 from dssmsg.frame import Detection, Frame
 from dssmsg.host import Host
 from dssmsg.lift import Lifted, Lifter
@@ -136,27 +135,9 @@ def replay_cases(
         _check(setup, case, methods)
     setup.work.mkdir(parents=True, exist_ok=True)
     found: dict[int, list[ReplayScore]] = {}
-    if jobs <= 1 or len(cases) <= 1:
-        for number, case in enumerate(cases):
-            found[number] = replay_case(setup, case, methods)
-            progress(_line(len(found), len(cases), case, found[number]))
-    else:
-        # Not forked: the renderer and the recording hold threads. A process a case, so that none grows.
-        pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=1)
-        with pool:
-            waiting = {pool.submit(replay_case, setup, case, methods): n for n, case in enumerate(cases)}
-            try:
-                for future in as_completed(waiting):
-                    number = waiting[future]
-                    found[number] = future.result()
-                    progress(_line(len(found), len(cases), cases[number], found[number]))
-            except BrokenProcessPool as error:
-                raise PluginError(
-                    "ended the process of a run; start again to repeat it, with --jobs 1 to see which it was",
-                    plugin="(one of them)",
-                ) from error
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
+    for number, scores in each(partial(replay_case, setup, methods=methods), cases, jobs):
+        found[number] = scores
+        progress(_line(len(found), len(cases), cases[number], scores))
     return [score for number in range(len(cases)) for score in found[number]]
 
 
