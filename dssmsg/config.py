@@ -17,7 +17,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    StringConstraints,
+    field_validator,
+    model_validator,
+)
 
 from dssmsg.config_errors import validate
 from dssmsg.config_layers import Layer, environment_layers, file_layers, merge, origin, set_layers
@@ -38,6 +46,7 @@ SLOT_KINDS = (
 """The kinds of which a run has exactly one, in the order in which they are written."""
 
 Text = Annotated[str, Field(min_length=1, max_length=500)]
+Sentence = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=500)]
 
 
 class Slot(BaseModel):
@@ -78,7 +87,7 @@ class MissionConfig(BaseModel):
         max_length=20,
         description="In order: survey (build the map), revisit (another visit), seek (drive to the goals).",
     )
-    goals: tuple[Text, ...] = Field(
+    goals: tuple[Sentence, ...] = Field(
         default=(), max_length=100, description="Sentences to ground and drive to, for seek."
     )
     max_frames: int = Field(

@@ -397,3 +397,9 @@ def test_init_template_differs_from_the_default_in_name_and_plugins_only(tmp_pat
     mine, default = load(template).resolved(), load().resolved()
     assert {key for key in mine if mine[key] != default[key]} == {"name", "plugins"}
     assert set(yaml.safe_load(template.read_text())) == set(yaml.safe_load(packaged_file().read_text()))
+
+
+def test_a_goal_says_something() -> None:
+    assert load_config(None, goals=["  the sofa "]).mission.goals == ("the sofa",)
+    with pytest.raises(ConfigError, match="goals"):
+        load_config(None, goals=["   "])

@@ -155,6 +155,16 @@ def test_a_vanished_object_answers_with_its_last_place(floor):
     assert "object-2" not in {one.matching.get("0") for one in gone}
 
 
+def test_who_asks_where_it_was_means_what_left_rather_than_what_never_did(floor):
+    floor.add(
+        c.EdgeRemoved(cause=CAUSE, edge="sees", source="viewpoint-1.1", target="object-2"),
+        c.ObjectChanged(cause=CAUSE, object_id="object-2", values={"state": DISAPPEARED}),
+    )
+    gone, stayed = without_view(floor, target(("mug", ("formerly",))))
+    assert (gone.viewpoint_id, gone.matching) == ("viewpoint-1.1", {"0": "object-2"})
+    assert gone.scores["score"] > stayed.scores["score"]
+
+
 def moved(floor):
     """The mug of the desk now stands on the table; its former place stays."""
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)) + np.array([7.2, 0.2, 0.75])

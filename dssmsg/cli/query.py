@@ -67,6 +67,8 @@ def show_query(
 
     if len(words) > 2:
         raise typer.BadParameter("expected a recording and one sentence; put the sentence in quotes")
+    if not words[-1].strip():
+        raise typer.BadParameter("expected a sentence, got none")
     path = chosen(Path(words[0]) if len(words) == 2 else None)
     with stdout_to_stderr():
         from dssmsg import checks

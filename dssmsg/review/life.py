@@ -239,8 +239,8 @@ def _windows(windows: Iterable[WindowEvaluated], ids: Sequence[str]) -> Iterator
                 yield LifeEvent(
                     (window.frame,),
                     window.sim_time,
-                    f"verdict of {window.viewpoint_id}: {verdict} (window: base frames {base})",
-                    {"consistent frames": (float(window.threshold), None)},
+                    f"verdict of {window.viewpoint_id}: {verdict}"
+                    f" (window: base frames {base}; {window.threshold} consistent frames are needed)",
                 )
     if row:
         yield _evidence(row)

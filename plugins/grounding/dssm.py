@@ -47,6 +47,9 @@ from dssmsg.interfaces.grounding import TargetGraph
 if TYPE_CHECKING:
     from dssmsg.interfaces import Context
 
+_NEVER_LEFT = 0.8
+"""Factor on the similarity of what is where it always was, where a sentence asks for the past."""
+
 PAST = frozenset({"past", "before", "former", "formerly", "previous", "previously", "earlier"})
 """Attributes of a node that ask where it was, not where it is."""
 _CLEAR_PIXELS = 600.0
@@ -178,8 +181,10 @@ class DssmGrounding:
         past = _past_nodes(target)
         if past:
             own = np.einsum("id,jd->ij", wanted[past], features)
-            # Who asks where a thing was means its former place, if it has one, and its present one if not.
-            similarity[past] = own * np.array([1.0 if t.when == FORMER else 0.8 for t in things])
+            # Who asks where a thing was means its former place, if it has one, else the last place of one
+            # that is gone, and where it is now only if it never left.
+            before = {FORMER: 1.0, LAST: self._config.vanished, NOW: _NEVER_LEFT}
+            similarity[past] = own * np.array([before[thing.when] for thing in things])
         best = similarity.max(axis=1, keepdims=True)
         allowed = (similarity >= self._config.share * best) & (similarity > 0)
         relative = np.where(allowed, similarity / np.where(best > 0, best, 1.0), 0.0)
