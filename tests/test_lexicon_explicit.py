@@ -12,7 +12,7 @@ from time import process_time
 import pytest
 
 from dssmsg.lexicon.tables import load_tables
-from dssmsg.lexicon.target import Targets
+from dssmsg.lexicon.target import NoTarget, Targets
 
 SENTENCES = [
     ("a book on the table", "book, table | book on table"),
@@ -268,6 +268,100 @@ SENTENCES = [
         "lamp, bed, wardrobe | lamp between bed; lamp between wardrobe",
     ),
     ("the laptop that isn't on the desk", "laptop, desk | laptop not on desk"),
+    ("a chair that is not red", "chair[not red]"),
+    ("a chair which isn't red", "chair[not red]"),
+    ("the chair, not red", "chair[not red]"),
+    ("a chair that is not red or blue", "chair[not red, not blue]"),
+    ("a chair that is neither red nor blue", "chair[not red, not blue]"),
+    ("a table which is not small but red", "table[not small, red]"),
+    (
+        "the large chair that isn't red next to the table",
+        "chair[large, not red], table | chair next to table",
+    ),
+    ("every chair but the red one", "chair"),
+    ("a chair without red legs", "chair"),
+    ("a table that doesn't have a lamp on it", "table, lamp | table without lamp"),
+    ("a table that does not have a chair", "table, chair | table without chair"),
+    ("chairs that don't have cushions", "chair, cushion | chair without cushion"),
+    ("a desk that has not got a lamp", "desk, lamp | desk without lamp"),
+    ("a table with 0 chairs", "table, chair | table without chair"),
+    ("a chair that doesn't stand near the table", "chair, table | chair not near table"),
+    (
+        "the lamp near the sofa but not near the window",
+        "lamp, sofa, window | lamp near sofa; lamp not near window",
+    ),
+    (
+        "the lamp near the sofa and not near the window",
+        "lamp, sofa, window | lamp near sofa; lamp not near window",
+    ),
+    (
+        "the lamp near the sofa, not near the window",
+        "lamp, sofa, window | lamp near sofa; lamp not near window",
+    ),
+    (
+        "the lamp on the table but not next to the sofa",
+        "lamp, table, sofa | lamp on table; lamp not next to sofa",
+    ),
+    ("the mug that isn't on the table but on the desk", "mug, table, desk | mug not on table; mug on desk"),
+    ("the lamp on the nightstand, not the lamp on the desk", "lamp, nightstand | lamp on nightstand"),
+    (
+        "a chair with neither cushion nor blanket",
+        "chair, cushion, blanket | chair without cushion; chair without blanket",
+    ),
+    (
+        "a bed with neither a pillow, nor a blanket",
+        "bed, pillow, blanket | bed without pillow; bed without blanket",
+    ),
+    (
+        "the lamp neither on the table nor next to the sofa",
+        "lamp, table, sofa | lamp not on table; lamp not next to sofa",
+    ),
+    ("a table without a chair or a lamp", "table, chair, lamp | table without chair; table without lamp"),
+    (
+        "a desk without a chair and next to the window",
+        "desk, chair, window | desk without chair; desk next to window",
+    ),
+    ("a sofa away from the tv", "sofa, tv | sofa not near tv"),
+    ("a chair far from the table", "chair, table | chair not near table"),
+    ("the chair not far from the table", "chair, table | chair near table"),
+    ("any seat but the sofa", "chair"),
+    ("the sink that is not in the kitchen", "sink"),
+    ("not a chair but a stool", "stool"),
+    ("2 chairs", "chair, chair"),
+    (
+        "the shelf with 10 books",
+        "shelf, book, book, book, book | shelf with book; shelf with book; shelf with book; shelf with book",
+    ),
+    ("coffee-table", "coffee table"),
+    (
+        "the coffee-table next to the office-chair",
+        "coffee table, office chair | coffee table next to office chair",
+    ),
+    ("the glass-table", "table[glass]"),
+    ("the chair at the left side of the desk", "chair, desk | chair left of desk"),
+    ("the chair on the right-hand side of the desk", "chair, desk | chair right of desk"),
+    ("the red or blue chair", "chair[red or blue]"),
+    ("the chair that is red or blue", "chair[red or blue]"),
+    ("a red, green or blue chair", "chair[red or green or blue]"),
+    ("the chair that is red or a stool", "chair[red]"),
+    ("the chair that is red and the table", "chair[red], table | chair near table"),
+    ("the mug or the cup", "mug"),
+    ("the sofa or armchair near the tv", "sofa, tv | sofa near tv"),
+    ("the mug on the table or the cup on the desk", "mug, table | mug on table"),
+    ("the mug in the kitchen or in the bathroom", "mug, oven, fridge | mug near oven; mug near fridge"),
+    # What is not named is left open: the first thing that tells of it is looked for (docs/lexicon.md).
+    ("something on the desk", "desk"),
+    ("what is on the desk", "desk"),
+    ("the thing left of the fridge", "fridge"),
+]
+DENYING = [
+    "any place but the kitchen",
+    "anywhere but in the kitchen",
+    "the place with no chairs",
+    "the room without a window",
+    "neither the sofa nor the chair",
+    "I don't want to go to the kitchen",
+    "I don't want to sleep",
 ]
 
 
@@ -294,6 +388,18 @@ def test_what_a_sentence_names(targets, sentence, expected):
     graph = targets.of(sentence)
     assert written(graph) == expected
     assert (graph["kind"], graph["core"]) == ("explicit", 0)
+
+
+@pytest.mark.parametrize("sentence", DENYING)
+def test_what_only_says_what_should_not_be_there_is_asked_back(targets, sentence):
+    with pytest.raises(NoTarget, match="only says what should not be there; name what is sought"):
+        targets.of(sentence)
+
+
+@pytest.mark.parametrize("sentence", ["", "  ", "Wo ist die Küche?", "asdf"])
+def test_what_is_not_understood_says_which_language_is(targets, sentence):
+    with pytest.raises(NoTarget, match=r"\(English only; another llm understands more: docs/llm.md\)$"):
+        targets.of(sentence)
 
 
 def test_case_and_punctuation_say_nothing(targets):

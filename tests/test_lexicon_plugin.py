@@ -82,6 +82,7 @@ def test_what_says_nothing_gives_no_target_and_says_so(words, sentence):
 VOCABULARY = re.findall(
     r"\S+",
     "a the my on under in next to near between and with without no not it that is was before where room place"
+    " or but neither nor 2 anything"
     " somewhere to wash read sofa table mug kitchen red two three of for , glass orange iron shelves xyzzy I",
 )
 
@@ -116,6 +117,7 @@ def test_a_table_of_ones_own_extends_the_packaged_ones(tmp_path):
         "needs: [{says: [wave hands], about: playing without touching, core: theremin, with: [mug on]}]\n"
         "rooms: {boudoir: {landmarks: [dressing table]}}\n"
         "attributes: {shiny: [gleaming]}\n"
+        "negations: {sans: with}\n"
     )
     mine = lexicon(tmp_path, tables=("mine.yaml",))
     target = understand(mine, "the gleaming aetherphone on the table")
@@ -123,6 +125,7 @@ def test_a_table_of_ones_own_extends_the_packaged_ones(tmp_path):
         ("theremin", ("shiny",)),
         ("table", ()),
     ]
+    assert understand(mine, "a table sans aetherphone").edges[0].relation == "without"
     target = understand(mine, "somewhere to wave my hands about")
     assert ([node.label for node in target.nodes], target.kind) == (["theremin", "mug"], "implicit")
     assert understand(mine, "the boudoir").nodes[0].label == "dressing table"
@@ -142,6 +145,8 @@ def test_a_table_of_ones_own_extends_the_packaged_ones(tmp_path):
         ("label: {sofa: {}}", "label"),
         ("needs: [{says: [sit], core: sofa}]", "needs.0.about"),
         ("rooms: {den: {}}", "rooms.den.landmarks"),
+        ("negations: [sans]", "negations: .*the relation that it denies"),
+        ("negations: {sans: wiht}", "negations.sans: no relation 'wiht'"),
         ("- sofa", "a list of 1"),
         ("labels: {sofa: {", "not valid YAML"),
         ("labels: {sofa: {}, sofa: {}}", "written twice"),

@@ -156,6 +156,12 @@ def test_sizes_compare_a_thing_with_its_likes():
     assert attribute_score(["big"], found[0], found) == 0.0
     assert attribute_score(["big"], found[0], found[:1]) is None  # nothing to compare it with
     assert attribute_score(["wooden"], found[0], found) is None
+    assert attribute_score(["not big"], found[1], found) == 0.0
+    assert attribute_score(["not big"], found[0], found) == 1.0
+    assert attribute_score(["not wooden"], found[0], found) is None
+    assert attribute_score(["big or small"], found[0], found) == 1.0
+    assert attribute_score(["wooden or big"], found[0], found) == 0.0
+    assert attribute_score(["wooden or old"], found[0], found) is None
 
 
 def test_subgraphs_hold_what_is_seen_and_its_edges_inside():

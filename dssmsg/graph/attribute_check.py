@@ -92,6 +92,17 @@ def color_share(word: str, colors: ByteArray) -> float | None:
 
 
 def _one(word: str, thing: Thing, likes: Sequence[Thing]) -> float | None:
+    """One attribute: a word, `not` one, or several with `or` between them."""
+    choices = [_one(choice, thing, likes) for choice in word.split(" or ")] if " or " in word else []
+    if choices:
+        return max((score for score in choices if score is not None), default=None)
+    if word.startswith("not "):
+        score = _one(word.removeprefix("not "), thing, likes)
+        return None if score is None else 1.0 - score
+    return _measure(word, thing, likes)
+
+
+def _measure(word: str, thing: Thing, likes: Sequence[Thing]) -> float | None:
     share = color_share(word, thing.colors)
     if share is not None:
         return min(1.0, share / _ENOUGH)

@@ -3,7 +3,7 @@
     "two red mugs that are on the old table"  ->  thing(mug, red, 2)  relation(on)  thing(table, old)
 
 Kinds of chunks: `thing` (text = label), `open` (a place, something: not named), `room`, `relation`, `join`
-(and, comma), `not`, `exists` (there is), `it`, `purpose` (what follows is what it is for).
+(and, comma), `or`, `not`, `exists` (there is), `it`, `purpose` (what follows is what it is for).
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dssmsg.lexicon.terms import Phrases, Term
+from dssmsg.lexicon.description import Description
+from dssmsg.lexicon.terms import Kinds, Phrases, Term
 from dssmsg.lexicon.words import singular
 
 MAX_UNKNOWN_WORDS = 3
 _BEFORE_VERBS = frozenset({"to", "i", "you", "we", "they", "can", "could", "must", "should", "who", "will"})
-_HAVING = frozenset({"without", "no", "lacking"})
-"""Negations that deny the having of a thing, not where it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class Chunker:
         self._phrases = phrases
         self._words = words
         self._chunks: list[Chunk] = []
-        self._attributes: list[str] = []
+        self._said = Description()
         self._count = 1
         self._noun_due = noun_due
         self._verb_due = verb_due
@@ -68,8 +67,7 @@ class Chunker:
         if verb:
             self._forget()
         elif "attribute" in kinds and ("label" not in kinds or self._noun_follows(after)):
-            self._attributes.append(kinds["attribute"])
-            self._noun_due = True
+            self._describe(kinds["attribute"])
         elif "relation" in kinds:
             self._connect("relation", kinds["relation"])
         elif "label" in kinds:
@@ -77,17 +75,17 @@ class Chunker:
         elif "room" in kinds:
             self._room(kinds["room"], place, after)
         elif "number" in kinds:
-            self._count, self._noun_due = int(kinds["number"]), True
+            self._number(int(kinds["number"]))
         elif "places" in kinds:
-            self._chunks.append(Chunk("open", term.words[-1], tuple(self._attributes)))
+            self._chunks.append(Chunk("open", term.words[-1], self._said.attributes))
             self._forget()
         elif "determiners" in kinds:
+            self._said.deny(False)
             self._noun_due = True
-        elif "negations" in kinds:
-            self._negate(term.words)
-        elif "conjunctions" in kinds:
-            if not self._attributes:  # "black and white" goes on
-                self._connect("join", "")
+        elif "negations" in kinds and ("conjunctions" not in kinds or self._excepts(after)):
+            self._negate(kinds["negations"], term.words)
+        elif "conjunctions" in kinds or "alternatives" in kinds:
+            self._join(kinds)
         elif "purpose" in kinds:
             self._connect("purpose", "")
         elif "existence" in kinds:
@@ -108,18 +106,58 @@ class Chunker:
         if kind == "relation":
             self._noun_due = True
 
-    def _negate(self, words: Sequence[str]) -> None:
+    def _describe(self, attribute: str) -> None:
+        """An attribute; a "not" right before it denies it and nothing else."""
+        if self._said.denied and self._chunks and self._chunks[-1].kind == "not":
+            self._chunks.pop()
+        self._said.add(attribute)
+        self._noun_due = True
+
+    def _number(self, count: int) -> None:
+        self._said.deny(False)
+        self._count, self._noun_due = max(1, count), True
+
+    def _join(self, kinds: Kinds) -> None:
+        """ "Black and white" goes on with what describes one thing; elsewhere another one comes."""
+        either = "alternatives" in kinds
+        if not self._said:
+            self._connect("or" if either else "join", "")
+            return
+        self._said.join(either=either)
+        if "negations" in kinds:  # "not red but blue"
+            self._said.deny(False)
+
+    def _negate(self, relation: str, words: Sequence[str]) -> None:
+        """A word that denies `relation`, or where that is empty what comes next."""
         self._describe_last()
         self._chunks.append(Chunk("not"))
-        if not _HAVING.isdisjoint(words):
-            self._chunks.append(Chunk("relation", "with"))
-        self._noun_due = True
+        if relation:
+            self._chunks.append(Chunk("relation", relation))
+        else:
+            self._said.deny()
+        self._noun_due = words[-1] not in _BEFORE_VERBS
+
+    def _excepts(self, after: int) -> bool:
+        """Whether a "but" leaves out what comes next: "anything but beds", "any seat but the sofa". Where
+        something was denied before, it comes back to what is meant: "not a chair but a stool"."""
+        if self._said or not self._chunks or any(chunk.kind == "not" for chunk in self._chunks):
+            return False
+        term = self._phrases.at(self._words, after) if after < len(self._words) else None
+        return self._chunks[-1].kind == "open" or (term is not None and "determiners" in term.kinds)
 
     # Things
 
+    def _close_row(self) -> None:
+        """ "The chair that is red and the table": what was said is of the thing before."""
+        if self._said.joined and any(chunk.kind == "thing" for chunk in self._chunks):
+            count = self._count
+            self._connect("or" if self._said.either else "join", "")
+            self._count = count
+
     def _thing(self, label: str, place: int, after: int) -> None:
+        self._close_row()
         last = self._chunks[-1] if self._chunks else None
-        thing = Chunk("thing", label, tuple(self._attributes), self._count)
+        thing = Chunk("thing", label, self._said.attributes, self._count)
         if self._of and last is not None and last.kind == "thing":
             if (
                 not last.known
@@ -142,8 +180,9 @@ class Chunker:
             self._chunks.insert(len(self._chunks) - led, Chunk("room", name, known=led))
             self._noun_due = True
             return
-        if not self._drop_relation():
-            self._chunks.append(Chunk("room", name, known=led))
+        if self._drop_relation():
+            self._chunks.append(Chunk("not"))
+        self._chunks.append(Chunk("room", name, known=led))
         self._forget()
 
     def _unknown(self, place: int) -> int:
@@ -166,8 +205,9 @@ class Chunker:
         if self._of and self._chunks and self._chunks[-1].kind == "thing":
             self._forget()
             return end
+        self._close_row()
         label = " ".join((*words[:-1], singular(words[-1])))[:80]
-        self._chunks.append(Chunk("thing", label, tuple(self._attributes), self._count, known=False))
+        self._chunks.append(Chunk("thing", label, self._said.attributes, self._count, known=False))
         self._forget()
         return end
 
@@ -185,31 +225,30 @@ class Chunker:
     # What is left over
 
     def _part(self) -> None:
-        """ "a mug with a blue handle": what describes a part describes the thing."""
-        self._drop_relation()
+        """ "a mug with a blue handle": what describes a part describes the thing, if it has that part."""
+        if self._drop_relation():
+            self._forget()
         self._describe_last()
-        self._forget()
 
     def _drop_relation(self) -> bool:
         """A relation to what is never in a graph leads nowhere; whether it was denied."""
         denied = False
         while self._chunks and self._chunks[-1].kind in ("relation", "not"):
-            denied = self._chunks.pop().kind == "not"
+            denied = self._chunks.pop().kind == "not" or denied
         return denied
 
     def _describe_last(self) -> None:
         """Attributes that no thing came after are of the one before: "the chair that is red"."""
         for place in range(len(self._chunks) - 1, -1, -1):
             chunk = self._chunks[place]
-            if chunk.kind == "thing" and self._attributes:
-                self._chunks[place] = Chunk(
-                    "thing", chunk.text, (*chunk.attributes, *self._attributes), chunk.count, chunk.known
-                )
+            if chunk.kind == "thing" and self._said:
+                said = (*chunk.attributes, *self._said.attributes)
+                self._chunks[place] = Chunk("thing", chunk.text, said, chunk.count, chunk.known)
                 break
         self._forget()
 
     def _forget(self) -> None:
-        self._attributes = []
+        self._said = Description()
         self._count = 1
         self._noun_due = False
         self._of = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 from dssmsg.lexicon.reading import MAX_ATTRIBUTES, Reading, Thing, is_denied
@@ -13,16 +14,25 @@ MAX_EDGES = 60
 class Draft:
     """A target graph in the making; thing 0 is its core."""
 
-    def __init__(self, kind: str, reading: Reading) -> None:
+    def __init__(self, kind: str, reading: Reading, elsewhere: Collection[str] = ()) -> None:
+        """`elsewhere`: labels that are no company for the core, as they lead to where it is not."""
         self.kind = kind
         self.things = [Thing(t.label, list(t.attributes), t.known) for t in reading.things]
         self.relations = list(reading.relations)
+        self._avoided = set(reading.avoided)
+        self._elsewhere = frozenset(elsewhere)
+
+    @property
+    def unwanted(self) -> set[str]:
+        """Labels that are not meant or shall not be at the core."""
+        return self._avoided | {
+            self.things[b].label for a, b, word in self.relations if a == 0 and is_denied(word)
+        }
 
     def add(self, label: str, relation: str, *, again: bool = False) -> None:
-        """A companion of the core, unless it is there; `relation` is its own to the core."""
-        if len(self.things) >= MAX_NODES or (
-            not again and any(thing.label == label for thing in self.things)
-        ):
+        """A companion of the core, unless it is there or shall not be; `relation` is its own to the core."""
+        there = not again and any(thing.label == label for thing in self.things)
+        if there or label in self.unwanted | self._elsewhere or len(self.things) >= MAX_NODES:
             return
         self.things.append(Thing(label))
         new = len(self.things) - 1
@@ -44,6 +54,14 @@ class Draft:
         ]
         self.things[0] = self.things[heir]
         self._remove(heir, 0)
+
+    def avoid(self, label: str, relations: Collection[str]) -> None:
+        """What such a relation of the core leads to is what the core shall not be, rather than where."""
+        if any(
+            a == 0 and self.things[b].label == label and word in relations for a, b, word in self.relations
+        ):
+            self._avoided.add(label)
+            self.drop_denied(label)
 
     def drop_denied(self, label: str) -> None:
         """What is sought is not there to be avoided: things of this label that a relation denies go."""

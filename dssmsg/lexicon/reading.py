@@ -3,7 +3,7 @@
 A relation leads from the thing before it to the thing after it; "and" goes on with the relation before it,
 "X with Y on it" turns it round, "not" and "without" say of X what is not there. What is asked for comes
 first, unless it is only called a place or something: then it is left open (`OPEN`), and what it is for
-decides (`dssmsg.lexicon.target`).
+decides (`dssmsg.lexicon.target`). Of "this or that" this is read.
 """
 
 from __future__ import annotations
@@ -19,6 +19,11 @@ MAX_COUNT = 4
 MAX_THINGS = 16
 MAX_ATTRIBUTES = 8
 _SOMETHING = frozenset({"something", "anything", "thing", "object", "item", "one", "furniture", "container"})
+
+
+def _denied(relation: str) -> str:
+    """A relation that says that there is none such."""
+    return "without" if relation == "with" else f"not {relation}"
 
 
 def is_denied(relation: str) -> bool:
@@ -40,13 +45,21 @@ class Reading:
     """What was read. `things[0]` is what is asked for; `relations` are (from, to, word) by index.
 
     A relation `without` or `not ...` leads to what shall not be there. `objects` are things that only a
-    purpose names ("a place to wash *dishes*").
+    purpose names ("a place to wash *dishes*"), `avoided` things and rooms that are not meant ("anything but
+    the *sofa*"), `missing` what somebody says that there is none of ("there is no *light* here").
     """
 
     things: list[Thing] = field(default_factory=list)
     relations: list[tuple[int, int, str]] = field(default_factory=list)
     objects: list[Thing] = field(default_factory=list)
     rooms: list[str] = field(default_factory=list)
+    avoided: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+    @property
+    def denies(self) -> bool:
+        """Whether it says of anything that it is not there or not meant."""
+        return bool(self.avoided) or any(is_denied(word) for _a, _b, word in self.relations)
 
     @property
     def open(self) -> bool:
@@ -57,18 +70,20 @@ class Reading:
 class Reader:
     """Links the chunks of one sentence."""
 
-    def __init__(self, *, wanted: bool = False) -> None:
-        """`wanted`: the sentence says what somebody wants to do, so that what serves it is open."""
+    def __init__(self, *, wanted: bool = False, refused: bool = False) -> None:
+        """`wanted`: the sentence says what somebody wants to do, so that what serves it is open; `refused`:
+        it begins with what nobody wants."""
         self.reading = Reading()
-        self._purpose = wanted
+        self._purpose = self._wish = wanted
         self._first: list[int] = []
         self._last: list[int] = []
         self._link: tuple[list[int], str, list[int]] | None = None
         self._relation = ""
         self._anchor: list[int] = []
         self._joined = False
-        self._negated = False
+        self._negated = refused
         self._other = False
+        self._either = False
         self._aside = False  # a second purpose ("while sitting on the sofa") says what is about, not where
         if wanted:
             self._add(Chunk("open"))
@@ -87,24 +102,46 @@ class Reader:
         elif chunk.kind == "open":
             if not self.reading.things:
                 self._add(chunk)
+            self._wish = False
             self._other = self._negated  # "not the one in the kitchen"
             self._relation, self._negated = "", False
         elif chunk.kind == "room":
-            named = chunk.known or not self._purpose
-            if named and chunk.text not in self.reading.rooms and not self._other:
-                self.reading.rooms.append(chunk.text)
-            self._relation = ""
+            self._enter(chunk)
         elif chunk.kind == "relation":
             self._relate(chunk.text, following)
+            self._either = False  # "a chair or stool near the bed"
         elif chunk.kind == "exists" and self._last:
             self._relation, self._anchor = "with", self._last
         elif chunk.kind == "join":
             self._joined, self._relation, self._other = True, "", False
+        elif chunk.kind == "or":
+            self._choose()
         elif chunk.kind == "not":
             self._negated = True
         elif chunk.kind == "purpose":
             self._aside = self._purpose
             self._purpose, self._relation, self._negated = True, "", False
+            self._other = self._either = False
+
+    def _enter(self, chunk: Chunk) -> None:
+        """A room: what is sought is in it, or it is one of those that are not meant."""
+        named = chunk.known or not self._purpose
+        if self._negated:
+            self.reading.avoided.append(chunk.text)
+        elif named and chunk.text not in self.reading.rooms and not (self._other or self._either):
+            self.reading.rooms.append(chunk.text)
+        self._relation, self._negated, self._either = "", False, False
+
+    def _choose(self) -> None:
+        """ "Or": what is not there is none of both; else the first will do, and what is said of the second
+        is passed over."""
+        if self._link is not None and is_denied(self._link[1]):
+            self._joined, self._relation = True, ""
+            return
+        reading = self.reading
+        self._relation = ""
+        self._other = self._other or self._link is not None or bool(reading.rooms)
+        self._either = bool(reading.objects) or (bool(reading.things) and not reading.open)
 
     def _relate(self, word: str, following: Chunk | None) -> None:
         names_nothing = following is None or following.kind in ("it", "relation", "join", "exists")
@@ -123,31 +160,45 @@ class Reader:
 
     def _name(self, chunk: Chunk) -> None:
         hints = not chunk.known and self._relation and (self._purpose or self.reading.open)
-        if self._other or hints:  # "without distraction", "on a Sunday": no things
+        if self._other or self._either or hints:  # "without distraction", "on a Sunday": no things
             pass
-        elif self._negated:
+        elif self._negated or self._denies_on():
             self._deny(chunk)
         elif (self._purpose or self.reading.open) and self.reading.things and not self._goes_on():
             attributes = list(chunk.attributes)
             self.reading.objects.append(Thing(chunk.text, attributes, chunk.known))
         else:
             self._add(chunk)
-        self._relation, self._joined, self._negated = "", False, False
+        self._relation, self._joined, self._negated, self._either = "", False, False, False
 
     def _goes_on(self) -> bool:
         """Whether a relation leads on, or "and" continues one: else it is a thing that a purpose names."""
         return bool(self._relation) or (self._joined and self._link is not None and not self.reading.objects)
 
+    def _denies_on(self) -> bool:
+        """Whether "and", "or" or "nor" goes on with what is not there; ", not the desk" does not."""
+        denied = self._link is not None and is_denied(self._link[1])
+        return denied and not self._relation and self._joined != self._negated
+
     def _deny(self, chunk: Chunk) -> None:
-        """What is not there is a thing too, at the end of a relation that says so."""
+        """What is not there is a thing too, at the end of a relation that says so. Where none leads to it, it
+        is not meant: "the dining table, not the coffee table"."""
         things = self.reading.things
-        contrast = not self._relation  # "the dining table, not the coffee table"
-        if contrast or not things or len(things) >= MAX_THINGS:
+        anchor, word, before = self._anchor or self._last, _denied(self._relation), list[int]()
+        if self._link is not None and self._denies_on():
+            anchor, word, before = self._link
+        elif not self._relation or not things:
+            self.reading.avoided.append(chunk.text)
+            self._other = self._joined and chunk.known  # ", not the lamp on the desk"
             return
-        word = "without" if self._relation == "with" else f"not {self._relation}"
+        if len(things) >= MAX_THINGS:
+            return
         things.append(Thing(chunk.text, list(chunk.attributes), chunk.known))
-        anchor = self._anchor or self._last
-        self.reading.relations += [(source, len(things) - 1, word) for source in anchor]
+        new = len(things) - 1
+        self.reading.relations += [(source, new, word) for source in anchor]
+        self._link = (anchor, word, [*before, new])
+        if self._wish and word == "without":
+            self.reading.missing.append(chunk.text)
 
     def _add(self, chunk: Chunk) -> None:
         things = self.reading.things
@@ -186,7 +237,7 @@ def _subject_first(chunks: Sequence[Chunk]) -> Sequence[Chunk]:
         if chunk.kind == "relation":
             led = 2 if chunk.text == "between" else 1
         elif chunk.kind in ("thing", "open"):
-            if not led and not (chunks[place - 1].kind == "join" and _is_list(chunks, place)):
+            if not led and not (chunks[place - 1].kind in ("join", "or") and _is_list(chunks, place)):
                 return (chunk, *chunks[:place], *chunks[place + 1 :])
             led = max(0, led - 1)
     return chunks

@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from dssmsg.config_yaml import parse_yaml, read_yaml
 from dssmsg.errors import ConfigError
@@ -78,12 +78,14 @@ class Tables(_Section):
     numbers: Mapping[Word, Annotated[int, Field(ge=1, le=20)]] = {}
     frames: Frames = Frames()
     wants: tuple[Word, ...] = ()
+    refuses: tuple[Word, ...] = ()
     places: tuple[Word, ...] = ()
     parts: tuple[Word, ...] = ()
     structure: tuple[Word, ...] = ()
     determiners: tuple[Word, ...] = ()
     conjunctions: tuple[Word, ...] = ()
-    negations: tuple[Word, ...] = ()
+    alternatives: tuple[Word, ...] = ()
+    negations: Mapping[Word, Annotated[str, Field(max_length=80)]] = {}
     pronouns: tuple[Word, ...] = ()
     existence: tuple[Word, ...] = ()
     purpose: tuple[Word, ...] = ()
@@ -93,6 +95,15 @@ class Tables(_Section):
     needs: tuple[Need, ...] = ()
     qualities: Mapping[Word, tuple[Word, ...]] = {}
     rooms: Mapping[Word, Room] = {}
+
+    @field_validator("negations", mode="before")
+    @classmethod
+    def _say_what_they_deny(cls, value: Any) -> Any:
+        if isinstance(value, list):
+            raise ValueError(
+                "write each wording with the relation that it denies, as in {lacking: with, isn't: ''}"
+            )
+        return value
 
 
 def load_tables(own: Iterable[Path] = ()) -> Tables:
@@ -108,7 +119,15 @@ def load_tables(own: Iterable[Path] = ()) -> Tables:
         written = read_yaml(path)
         _checked(written, path)
         _merge(merged, written)
+        _check_negations(_checked(merged, path), path)
     return _checked(merged, None)
+
+
+def _check_negations(tables: Tables, path: Path) -> None:
+    """Raises ConfigError where a negation denies a relation that no table has."""
+    for wording, denied in tables.negations.items():
+        if denied and denied not in tables.relations:
+            raise ConfigError(f"negations.{wording}: no relation {denied!r} in any table", file=path)
 
 
 def _checked(values: Mapping[str, Any], path: Path | None) -> Tables:

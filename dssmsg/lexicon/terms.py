@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from dssmsg.lexicon.tables import Tables
-from dssmsg.lexicon.words import singular, tokens
+from dssmsg.lexicon.words import is_number, singular, tokens
 
+_NAMING = frozenset({"label", "room", "attribute"})
 Kinds = Mapping[str, str]
 """Kind (`label`, `relation`, ...) -> the name that a phrase stands for there."""
 
@@ -23,7 +24,9 @@ class Term:
 class Phrases:
     """Phrases of words and what each stands for, found by the longest match."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, digits: bool = False) -> None:
+        """`digits`: a count in digits is a known word, a `number`."""
+        self._digits = digits
         self._known: dict[tuple[str, ...], dict[str, str]] = {}
         self._longest = 1
 
@@ -50,12 +53,38 @@ class Phrases:
                     kinds = {**kinds, "label": one["label"]}
             if kinds:
                 return Term(window, kinds)
-        return None
+        word = words[place]
+        return Term((word,), {"number": word}) if self._digits and is_number(word) else None
+
+    def split_hyphens(self, words: Sequence[str]) -> tuple[str, ...]:
+        """A word that nobody knows in its parts, where these name a thing: `coffee-table`, `glass-table`."""
+        split: list[str] = []
+        place = 0
+        while place < len(words):
+            term = self.at(words, place)
+            length = 1 if term is None else len(term.words)
+            split += words[place : place + length]
+            parts = words[place].split("-")
+            if term is None and len(parts) > 1 and self._names(parts):
+                split[-1:] = parts
+            place += length
+        return tuple(split)
+
+    def _names(self, words: Sequence[str]) -> bool:
+        """Whether words are a thing's or room's name, with or without what describes it."""
+        place, kinds = 0, frozenset[str]()
+        while place < len(words):
+            term = self.at(words, place)
+            kinds = frozenset() if term is None else _NAMING & term.kinds.keys()
+            if term is None or not kinds:
+                return False
+            place += len(term.words)
+        return not kinds.isdisjoint(("label", "room"))
 
 
 def vocabulary(tables: Tables) -> Phrases:
     """All phrases that may stand inside a sentence."""
-    phrases = Phrases()
+    phrases = Phrases(digits=True)
     for name, others in tables.relations.items():
         for phrase in (*others, name):
             phrases.add("relation", phrase, name)
@@ -67,9 +96,11 @@ def vocabulary(tables: Tables) -> Phrases:
     for name, room in tables.rooms.items():
         for phrase in (*room.also, name):
             phrases.add("room", phrase, name)
-    for kind in ("places", "parts", "structure", "determiners", "conjunctions", "negations", "pronouns"):
+    for phrase, denied in tables.negations.items():
+        phrases.add("negations", phrase, denied)
+    for kind in ("places", "parts", "structure", "determiners", "conjunctions", "alternatives"):
         phrases.add_all(kind, getattr(tables, kind))
-    for kind in ("existence", "purpose", "fillers", "verbs"):
+    for kind in ("pronouns", "existence", "purpose", "fillers", "verbs"):
         phrases.add_all(kind, getattr(tables, kind))
     for name, label in tables.labels.items():
         for phrase in label.like:
@@ -82,9 +113,11 @@ def vocabulary(tables: Tables) -> Phrases:
 
 
 def openings(tables: Tables) -> Phrases:
-    """Phrases that may open a sentence: what is asked (`polite`, `about`) and what is wanted (`wants`)."""
+    """Phrases that may open a sentence: what is asked (`polite`, `about`), what is wanted (`wants`) or not
+    (`refuses`)."""
     phrases = Phrases()
     phrases.add_all("polite", tables.frames.polite)
     phrases.add_all("about", tables.frames.about)
     phrases.add_all("wants", tables.wants)
+    phrases.add_all("refuses", tables.refuses)
     return phrases

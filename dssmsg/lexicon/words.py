@@ -7,6 +7,7 @@ import re
 
 MAX_CHARACTERS = 2000
 MAX_TOKENS = 120
+MAX_DIGITS = 3
 
 _TOKEN = re.compile(r"[^\W_]+(?:['-][^\W_]+)*|[,;]")
 _SHORT = {
@@ -55,6 +56,11 @@ def tokens(text: str) -> tuple[str, ...]:
     plain = _SHORT_IS.sub(r"\1 is", plain)
     plain = _SHORT_FORM.sub(lambda found: _SHORT[found[1]], plain)
     return tuple(_TOKEN.findall(plain)[:MAX_TOKENS])
+
+
+def is_number(word: str) -> bool:
+    """Whether a word is a count in digits."""
+    return word.isascii() and word.isdigit() and len(word) <= MAX_DIGITS
 
 
 def singular(word: str) -> str:
