@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dssmsg.frame import ByteArray, FloatArray
 
 HUES, SATURATIONS, VALUES = 12, 3, 5
+_BINS = VALUES * (1 + HUES * SATURATIONS)
 _GREY = 0.15
 """Below this saturation a hue is mostly noise, and blends into grey."""
 
@@ -31,35 +34,49 @@ def color_histogram(colors: ByteArray, gain: float = 1.0) -> FloatArray:
     Each colour is shared out between the two nearest bins of every axis, so that a little more light moves a
     little weight. Greys have bins without hue.
     """
-    if not len(colors):
-        return np.zeros(VALUES * (1 + HUES * SATURATIONS))
-    hue, saturation, value = hsv_of(colors).T
-    value = np.minimum(value * gain, 1.0)
+    histogram: FloatArray = color_histograms([colors], [gain])[0]
+    return histogram
+
+
+def color_histograms(clouds: Sequence[ByteArray], gains: Sequence[float]) -> FloatArray:
+    """`color_histogram` of several clouds (N, 3), each with its gain, as rows."""
+    counts = [len(colors) for colors in clouds]
+    if not sum(counts):
+        return np.zeros((len(clouds), _BINS))
+    hue, saturation, value = hsv_of(np.concatenate(clouds)).T
+    value = np.minimum(value * np.repeat(gains, counts), 1.0)
     chroma = np.clip((saturation - _GREY / 2) / _GREY, 0.0, 1.0) * np.minimum(value / 0.1, 1.0)
     hues = _split_round(hue * HUES)
     saturations = _split(saturation * (SATURATIONS - 1), SATURATIONS)
+    first_bin = np.repeat(np.arange(len(clouds)) * _BINS, counts)
     bins, weights = [], []
     for value_bin, value_weight in _split(value * (VALUES - 1), VALUES):
-        row = value_bin * (1 + HUES * SATURATIONS)
+        row = first_bin + value_bin * (1 + HUES * SATURATIONS)
         bins.append(row)
         weights.append(value_weight * (1 - chroma))
         for hue_bin, hue_weight in hues:
             for sat_bin, sat_weight in saturations:
                 bins.append(row + (1 + hue_bin * SATURATIONS + sat_bin))
                 weights.append(value_weight * hue_weight * sat_weight * chroma)
-    size = VALUES * (1 + HUES * SATURATIONS)
-    histogram = np.bincount(np.concatenate(bins), np.concatenate(weights), minlength=size)
-    return np.asarray(histogram / len(colors), dtype=np.float64)
-
-
-def histogram_similarity(a: FloatArray, b: FloatArray) -> float:
-    """s_rgb: Bhattacharyya's coefficient of two histograms of sum 1, 0..1; 1 for equal ones."""
-    return float(min(1.0, np.sum(np.sqrt(a * b))))
+    sums = np.bincount(np.concatenate(bins), np.concatenate(weights), minlength=len(clouds) * _BINS)
+    histograms: FloatArray = sums.reshape(len(clouds), _BINS) / np.maximum(counts, 1)[:, None]
+    return histograms
 
 
 def color_similarity(a: ByteArray, b: ByteArray, gain: float = 1.0) -> float:
-    """s_rgb of two clouds' colours (N, 3), (M, 3); `gain` brings the values of `b` to the light of `a`."""
-    return histogram_similarity(color_histogram(a), color_histogram(b, gain))
+    """s_rgb of two clouds' colours (N, 3), (M, 3); `gain` brings the values of `b` to the light of `a`.
+
+    Bhattacharyya's coefficient of their histograms, 0..1; 1 for equal ones.
+    """
+    return color_similarities([(a, b)], gain)[0]
+
+
+def color_similarities(pairs: Sequence[tuple[ByteArray, ByteArray]], gain: float = 1.0) -> list[float]:
+    """`color_similarity` of several pairs, all with the same gain."""
+    clouds = [colors for pair in pairs for colors in pair]
+    histograms = color_histograms(clouds, [1.0, gain] * len(pairs))
+    alike: list[float] = np.minimum(1.0, np.sqrt(histograms[::2] * histograms[1::2]).sum(axis=1)).tolist()
+    return alike
 
 
 def mean_value(colors: ByteArray) -> float:

@@ -7,6 +7,7 @@ without a reading gives no evidence at all.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -134,14 +135,24 @@ def look_at(
     points: Float32Array, view: View, noise: tuple[float, float], rule: SightRule = SightRule()
 ) -> PlaceSight:
     """What a view shows where the points (N, 3) of a cloud are; `noise` (a, b): sigma(z) = a + b z^2."""
-    asked = sampled(points, rule.sample)
+    return look_at_each([points], view, noise, rule)[0]
+
+
+def look_at_each(
+    clouds: Sequence[Float32Array], view: View, noise: tuple[float, float], rule: SightRule = SightRule()
+) -> list[PlaceSight]:
+    """`look_at` of several clouds (N, 3) at once: one look-up for all their points."""
+    if not clouds:
+        return []
+    samples = [sampled(points, rule.sample) for points in clouds]
+    asked = np.concatenate(samples)
     uv, z = project(transform_points(invert_rigid(view.world_from_camera), asked), view.camera)
-    pixels = np.rint(np.nan_to_num(uv, nan=-1e9) / view.stride).astype(np.int64)
-    columns, rows = pixels[:, 0], pixels[:, 1]
+    u, v = np.rint(np.nan_to_num(uv, nan=-1e9) / view.stride).T
     height, width = view.near.shape
-    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    # Just before the camera a point may be any number of pixels aside.
+    columns, rows = (np.where(inside, pixels, -1).astype(np.int64) for pixels in (u, v))
     within = inside & (z <= rule.max_range)
-    count = int(np.count_nonzero(within))
     measured = np.zeros(len(asked), np.float64)
     measured[within] = view.near[rows[within], columns[within]]
     margin = np.maximum(rule.min_margin, rule.sigmas * depth_sigma(np.where(within, z, 0.0), noise))
@@ -149,19 +160,27 @@ def look_at(
     free = read & (measured > z + margin)
     hidden = read & (measured < z - margin)
     surface = read & ~free & ~hidden
-    total = max(count, 1)
-    return PlaceSight(
-        asked=len(asked),
-        inside=int(np.count_nonzero(inside)),
-        near_enough=count,
-        free=int(np.count_nonzero(free)) / total,
-        surface=int(np.count_nonzero(surface)) / total,
-        occluded=int(np.count_nonzero(hidden)) / total,
-        unread=int(np.count_nonzero(within & ~read)) / total,
-        on_surface=surface,
-        rows=rows,
-        columns=columns,
-    )
+    ends = np.cumsum([len(points) for points in samples])
+    # How many points of each cloud are so: sums up to the cloud's end less those up to its start.
+    sums = np.cumsum([inside, within, free, surface, hidden, within & ~read], axis=1)
+    counts = np.diff(np.pad(sums, ((0, 0), (1, 0)))[:, [0, *ends]], axis=1).T.tolist()
+    return [
+        PlaceSight(
+            asked=len(points),
+            inside=in_image,
+            near_enough=near,
+            free=shown_free / max(near, 1),
+            surface=in_place / max(near, 1),
+            occluded=behind / max(near, 1),
+            unread=unread / max(near, 1),
+            on_surface=surface[end - len(points) : end],
+            rows=rows[end - len(points) : end],
+            columns=columns[end - len(points) : end],
+        )
+        for points, end, (in_image, near, shown_free, in_place, behind, unread) in zip(
+            samples, ends.tolist(), counts, strict=True
+        )
+    ]
 
 
 def verdict_of(sight: PlaceSight, rule: SightRule = SightRule()) -> str:

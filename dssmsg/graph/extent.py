@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dssmsg.frame import Float32Array, FloatArray, Frame, MaskArray
 from dssmsg.geometry import Sight, sight_of_points
 from dssmsg.graph.stations import Stations
-from dssmsg.graph.voxels import VOXEL_M, KeyArray, contained, distinct, first_of_run, voxel_keys
+from dssmsg.graph.voxels import BESIDE, KeyArray, contained, distinct, first_of_run, voxel_keys
 from dssmsg.neighbours import near_any, quick_tree
 
 MIN_OUTSIDE = 2
@@ -31,7 +31,6 @@ MIN_SHRINK_M = 0.05
 OUTGROWN, MIN_OUTGROWN_M = 1.5, 0.05
 """What becomes this many times and metres wider grows more than one place is trusted with."""
 _NO_STATION = np.iinfo(np.int32).max
-_STEPS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) * VOXEL_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +150,10 @@ class Extents:
         agreed = votes.first < votes.last if elsewhere else votes.inside > 1
         agreed &= votes.inside >= self._share * (votes.inside + votes.outside)
         known = votes.keys[agreed]
+        keys = voxel_keys(points)
         near: MaskArray = np.zeros(len(points), dtype=np.bool_)
-        for step in _STEPS:
-            near |= contained(voxel_keys(points + step), known)
+        for step in BESIDE:
+            near |= contained(keys + step, known)
         return near
 
     def join(self, object_id: str, absorbed_id: str) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from functools import lru_cache
 
 _ID = re.compile(r"(object|history|waypoint|viewpoint)-(\d+)(?:\.(\d+))?")
 
 
+@lru_cache(maxsize=1 << 16)  # sorting asks for the same few ids again and again
 def id_order(node_id: str) -> tuple[str, int, int]:
     """Sort key that orders ids by kind, then by number: `object-2` before `object-12`.
 

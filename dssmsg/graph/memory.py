@@ -8,13 +8,13 @@ stood there. What a question costs depends on the viewpoints around the place, n
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dssmsg.frame import FloatArray
-from dssmsg.geometry import invert_rigid, project, transform_points
+from dssmsg.geometry import invert_rigid
 from dssmsg.graph.evidence import View
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.view import GraphView
@@ -52,12 +52,14 @@ class ViewpointWindows:
         centre = (box_min + box_max) / 2.0
         corners = [np.where(pick, box_max, box_min) for pick in np.ndindex(2, 2, 2)]
         spots = np.array([centre, *corners])
-        found = [
+        earlier = [
             remembered
             for viewpoint_id in self._graph.viewpoints_near(centre, self._reach)
             for remembered in self._windows.get(viewpoint_id, ())
-            if remembered.view.frame < before_frame and _holds(remembered.view, spots)
+            if remembered.view.frame < before_frame
         ]
+        holding = _hold([remembered.view for remembered in earlier], spots)
+        found = [remembered for remembered, holds in zip(earlier, holding, strict=True) if holds]
         found.sort(
             key=lambda r: (
                 float(np.linalg.norm(r.view.world_from_camera[:3, 3] - centre)),
@@ -73,9 +75,20 @@ class ViewpointWindows:
             del self._windows[viewpoint_id]
 
 
-def _holds(view: View, spots: FloatArray) -> bool:
-    """Whether any of the spots (N, 3) falls inside the image."""
-    uv, z = project(transform_points(invert_rigid(view.world_from_camera), spots), view.camera)
-    with np.errstate(invalid="ignore"):
-        inside = (z > 0) & np.all((uv >= 0) & (uv < (view.camera.width, view.camera.height)), axis=1)
-    return bool(inside.any())
+def _hold(views: Sequence[View], spots: FloatArray) -> list[bool]:
+    """Of each view, whether any of the spots (N, 3) falls inside its image."""
+    if not views:
+        return []
+    camera_from_world = invert_rigid(np.stack([view.world_from_camera for view in views]))
+    rotation, position = camera_from_world[:, :3, :3], camera_from_world[:, None, :3, 3]
+    x, y, z = np.moveaxis(spots @ np.swapaxes(rotation, 1, 2) + position, -1, 0)  # (views, N) each
+    cameras = [view.camera for view in views]
+    fx, fy, cx, cy, width, height = np.array(
+        [(one.fx, one.fy, one.cx, one.cy, one.width, one.height) for one in cameras]
+    ).T[:, :, None]
+    before = z > 0
+    ahead = np.where(before, z, 1.0)
+    u, v = x / ahead * fx + cx, y / ahead * fy + cy
+    inside = before & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    holding: list[bool] = inside.any(axis=1).tolist()
+    return holding

@@ -13,8 +13,17 @@ import numpy as np
 
 from dssmsg.frame import ByteArray, Float32Array, FloatArray
 from dssmsg.geometry import transform_points
-from dssmsg.graph.colors import color_similarity, mean_value
-from dssmsg.graph.evidence import PlaceSight, SightRule, View, is_thin, look_at, sampled, telling, verdict_of
+from dssmsg.graph.colors import color_similarities, mean_value
+from dssmsg.graph.evidence import (
+    PlaceSight,
+    SightRule,
+    View,
+    is_thin,
+    look_at_each,
+    sampled,
+    telling,
+    verdict_of,
+)
 from dssmsg.graph.ids import id_order
 from dssmsg.graph.nodes import BELIEVED, DISAPPEARED, ObjectNode
 from dssmsg.graph.verdicts import MISSED, OUT_OF_VIEW, PRESENT, SEEN, UNKNOWN, Evidence
@@ -87,13 +96,15 @@ class Presence:
             if node is not None and node.state != DISAPPEARED
         ]
         clouds = {node.id: self._cloud(node) for node in nodes}
-        sights = {node.id: look_at(clouds[node.id][0], view, self._noise, self._rule) for node in nodes}
+        looks = look_at_each([clouds[node.id][0] for node in nodes], view, self._noise, self._rule)
+        sights = dict(zip(clouds, looks, strict=True))
         colors = {node.id: self._seen_colors(clouds[node.id][1], sights[node.id], view) for node in nodes}
         self._follow_light(colors)
+        alike = self._likeness(colors)
         found = []
         for node in nodes:
             sight = self._without_neighbours(node, clouds[node.id][0], sights[node.id])
-            evidence = self._evidence(node, sight, colors[node.id], view, node.id in observed)
+            evidence = self._evidence(node, sight, alike.get(node.id), view, node.id in observed)
             if self._literal and evidence.verdict != SEEN:
                 verdict = MISSED if node.id in expected else UNKNOWN
                 evidence = replace(evidence, verdict=verdict)
@@ -134,13 +145,13 @@ class Presence:
         self,
         node: ObjectNode,
         sight: PlaceSight,
-        colors: tuple[np.ndarray, np.ndarray] | None,
+        alike: float | None,
         view: View,
         observed: bool,
     ) -> Evidence:
         values = sight.values()
-        if colors is not None and self.gain is not None:
-            values["s_rgb"] = round(color_similarity(colors[0], colors[1], 1.0 / self.gain), 4)
+        if alike is not None:
+            values["s_rgb"] = round(alike, 4)
         verdict = SEEN if observed else verdict_of(sight, self._rule)
         flat = verdict in (PRESENT, UNKNOWN) and is_thin(node.points, 2 * self._rule.min_margin)
         if flat and values.get("s_rgb", 1.0) < self._colors.changed:
@@ -211,6 +222,13 @@ class Presence:
         if np.count_nonzero(on) < _MIN_COLOR_POINTS:
             return None
         return colors[on], view.rgb[sight.rows[on], sight.columns[on]]
+
+    def _likeness(self, colors: Mapping[str, tuple[np.ndarray, np.ndarray] | None]) -> dict[str, float]:
+        """s_rgb of what is stored and what is there, of the objects whose colours are in sight."""
+        if self.gain is None:
+            return {}
+        shown = {object_id: pair for object_id, pair in colors.items() if pair is not None}
+        return dict(zip(shown, color_similarities(list(shown.values()), 1.0 / self.gain), strict=True))
 
     def _follow_light(self, colors: Mapping[str, tuple[np.ndarray, np.ndarray] | None]) -> None:
         """The gain of this visit's light: median over the objects in view, smoothed over frames."""

@@ -100,4 +100,8 @@ def _cells(corners: Corners) -> Sequence[Cell] | None:
 
 
 def _touch(a: Corners, b: Corners) -> bool:
-    return all(a[axis] <= b[axis + 3] and b[axis] <= a[axis + 3] for axis in range(3))
+    return (
+        a[0] <= b[3] and b[0] <= a[3]
+        and a[1] <= b[4] and b[1] <= a[4]
+        and a[2] <= b[5] and b[2] <= a[5]
+    )  # fmt: skip

@@ -19,6 +19,9 @@ _HALF = 1 << (_BITS - 1)
 REACH_M = (_HALF - 1) * VOXEL_M
 """Coordinates up to this many metres from the origin have a voxel."""
 
+BESIDE = (0, *(sign << (axis * _BITS) for axis in range(3) for sign in (1, -1)))
+"""Added to a voxel's key: the voxel itself, and the six that share a face with it."""
+
 KeyArray = NDArray[np.int64]
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from dssmsg.navigation.footprint import covered
 
 Point = tuple[float, float]
 _SURE_HITS = 6
+_STANDING_HITS = 2
 """What speaks for a cell being occupied counts no more than this."""
 
 
@@ -126,24 +128,30 @@ class RollingGrid:
 
         `outlined`: outlines of known things count as occupied.
         """
-        inside, along, window = self._strip(start, end, half_width)
-        total = self._strip_cells(start, end, half_width)
-        if not inside.any():
+        if self._corner is None:
             return Corridor(None, 0, 0.0, 0.0)
-        standing = self.occupied[window]
-        occupied = inside & (standing | self._outlined[window] if outlined else standing)
-        free = float(np.count_nonzero(inside & self._free[window])) / total
-        fresh = float(np.count_nonzero(inside & self._fresh[window])) / total
+        rows, columns, along = _leg_cells(start, end, half_width, self.options.cell)
+        rows, columns = rows - self._corner[0], columns - self._corner[1]
+        known = (rows >= 0) & (rows < self._count) & (columns >= 0) & (columns < self._count)
+        if not known.all():
+            rows, columns, along = rows[known], columns[known], along[known]
+        cells = rows * self._count + columns
+        occupied = self._hits.reshape(-1)[cells] >= _STANDING_HITS
+        if outlined:
+            occupied |= self._outlined.reshape(-1)[cells]
+        total = _cell_count(start, end, half_width, self.options.cell)
+        free = int(np.count_nonzero(self._free.reshape(-1)[cells])) / total
+        fresh = int(np.count_nonzero(self._fresh.reshape(-1)[cells])) / total
         obstacle = None
         if occupied.any():
-            row, column = np.unravel_index(int(np.where(occupied, along, np.inf).argmin()), occupied.shape)
-            obstacle = self.center((int(row) + window[0].start, int(column) + window[1].start))
+            nearest = int(np.where(occupied, along, np.inf).argmin())
+            obstacle = self.center((int(rows[nearest]), int(columns[nearest])))
         return Corridor(obstacle, int(np.count_nonzero(occupied)), min(1.0, free), min(1.0, fresh))
 
     @property
     def occupied(self) -> MaskArray:
         """(n, n) bool: cells in which something stands."""
-        standing: MaskArray = self._hits >= 2
+        standing: MaskArray = self._hits >= _STANDING_HITS
         return standing
 
     @property
@@ -283,34 +291,29 @@ class RollingGrid:
         near = away <= radius
         return (rows[near] + centre[0]).astype(np.int32), (columns[near] + centre[1]).astype(np.int32)
 
-    def _strip(
-        self, start: Point, end: Point, half_width: float
-    ) -> tuple[MaskArray, FloatArray, tuple[slice, slice]]:
-        """Cells of a strip in the part of the plan around it, with their way along it; and that part."""
-        nothing = (slice(0, 0), slice(0, 0))
-        if self._corner is None:
-            return np.zeros((0, 0), dtype=np.bool_), np.zeros((0, 0)), nothing
-        window = []
-        for axis in (0, 1):
-            low, high = sorted((start[axis], end[axis]))
-            first = math.floor((low - half_width) / self.options.cell) - self._corner[axis]
-            last = math.floor((high + half_width) / self.options.cell) - self._corner[axis] + 1
-            window.append(slice(min(max(first, 0), self._count), min(max(last, 0), self._count)))
-        x = (np.arange(window[0].start, window[0].stop) + self._corner[0] + 0.5) * self.options.cell
-        y = (np.arange(window[1].start, window[1].stop) + self._corner[1] + 0.5) * self.options.cell
-        dx, dy = end[0] - start[0], end[1] - start[1]
-        length = math.hypot(dx, dy)
-        ux, uy = (dx / length, dy / length) if length > 1e-9 else (1.0, 0.0)
-        across, ahead = x[:, None] - start[0], y[None, :] - start[1]
-        along = across * ux + ahead * uy
-        aside = np.abs(across * uy - ahead * ux)
-        inside = (aside <= half_width) & (along >= 0.0) & (along <= length)
-        return inside, along, (window[0], window[1])
 
-    def _strip_cells(self, start: Point, end: Point, half_width: float) -> int:
-        """About how many cells the whole strip has, those outside of the plan included."""
-        area = math.dist(start, end) * 2 * half_width
-        return max(1, math.floor(0.97 * area / self.options.cell**2))
+@lru_cache(maxsize=1024)  # the legs between waypoints are asked about from every key frame around
+def _leg_cells(
+    start: Point, end: Point, half_width: float, cell: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """World rows and columns (N,) of the cells in a strip along a leg, row by row, and their way along it."""
+    low = [math.floor((min(start[axis], end[axis]) - half_width) / cell) for axis in (0, 1)]
+    high = [math.floor((max(start[axis], end[axis]) + half_width) / cell) for axis in (0, 1)]
+    x, y = ((np.arange(low[axis], high[axis] + 1) + 0.5) * cell for axis in (0, 1))
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    length = math.hypot(dx, dy)
+    ux, uy = (dx / length, dy / length) if length > 1e-9 else (1.0, 0.0)
+    across, ahead = x[:, None] - start[0], y[None, :] - start[1]
+    along = across * ux + ahead * uy
+    aside = np.abs(across * uy - ahead * ux)
+    rows, columns = np.nonzero((aside <= half_width) & (along >= 0.0) & (along <= length))
+    way = along[rows, columns]
+    return (rows + low[0]).astype(np.int32), (columns + low[1]).astype(np.int32), way
+
+
+def _cell_count(start: Point, end: Point, half_width: float, cell: float) -> int:
+    """About how many cells the whole strip has, those outside of the plan included."""
+    return max(1, math.floor(0.97 * math.dist(start, end) * 2 * half_width / cell**2))
 
 
 def _shift(array: NDArray[Any], dx: int, dy: int) -> None:
