@@ -21,9 +21,18 @@ from dssmsg.evaluate.faults.kinds import FAULTS
 from dssmsg.host import Host
 from dssmsg.interfaces import Finding
 from dssmsg.interfaces.diagnosis import BLAME, LAYERS, Decision
-from dssmsg.review.diagnosis import CANNOT_TELL, FAULT, NO_FAULT, diagnose, diagnosed_json, diagnosed_text
+from dssmsg.review.diagnosis import (
+    CANNOT_TELL,
+    FAULT,
+    NO_FAULT,
+    NOT_BEGUN,
+    diagnose,
+    diagnosed_json,
+    diagnosed_text,
+)
 from dssmsg.review.episode import ReviewedRecording, same_thing
 from dssmsg.review.episode_map import MapHistory
+from dssmsg.review.explain_query import explain_match, query_explained_json, query_explained_text
 
 MINE = """
 from dssmsg.hookspecs import PluginConfig, hookimpl
@@ -111,6 +120,30 @@ def test_an_episode_that_ended_well_is_doubted_only_by_the_very_sure():
     assert diagnose(Story().with_truth(), 0, [("a", Says(finding(confidence=0.9)))]).verdict == NO_FAULT
 
 
+@pytest.mark.parametrize(
+    ("parent", "used_up", "key", "why"),
+    [
+        (None, True, "mission.max_frames", "where mission.max_frames (30) was used up; raise it"),
+        (None, False, None, "where the source gave no more frames"),
+        ("before", True, None, "where the recorded run that it replays did"),
+    ],
+)
+def test_an_episode_that_never_began_says_how_the_run_ended(parent, used_up, key, why):
+    class Cut(Story):
+        facts = property(lambda self: {"parent": parent})
+        stored_summary = property(lambda self: {"out_of_frames": used_up})
+
+    story = Cut().spoilt(reason="not begun")
+    story.options = {"mission": {"max_frames": 30}}
+    told = diagnose(story, 0, [("a", Fails()), ("b", Says(finding()))])
+    text, as_json = diagnosed_text("a.rrd", told), diagnosed_json("a.rrd", told)
+    assert f"never begun: the run ended at frame {LAST}, {why}" in text
+    assert "cannot tell" not in text
+    assert (as_json["verdict"], as_json["layer"], as_json["key"]) == (NOT_BEGUN, None, key)
+    assert why in as_json["note"]
+    assert as_json["findings"] == as_json["problems"] == []
+
+
 def test_what_touched_something_went_wrong():
     story = Story().with_truth()
     story.collisions = lambda index: int(index >= 20)
@@ -160,7 +193,7 @@ def test_content_with_something_else_is_a_failure():
 
 
 def test_an_unknown_episode_is_named_with_those_there_are():
-    with pytest.raises(InputError, match="no episode 3 in the recording; it has 0"):
+    with pytest.raises(InputError, match=r"no episode 3 in the recording; its episodes: 0$"):
         diagnose(Story(), 3, [])
 
 
@@ -303,6 +336,65 @@ def test_a_query_is_explained_as_it_was_recorded(missions, tmp_path):
     )
     assert other["margin"] == pytest.approx(sum(term["gap"] for term in other["terms"]))
     assert other["margin"] > 0
+
+
+def candidate(rank, viewpoint, thing="object-1", **scores):
+    return {
+        "viewpoint": viewpoint,
+        "rank": rank,
+        "matching": {"0": thing},
+        "reason": thing,
+        "scores": {"score": 2.0, "similarity": 1.0, "core_distance": 0.5, **scores},
+    }
+
+
+def compared(*candidates):
+    target = {"core": 0, "kind": "explicit", "edges": [], "nodes": [{"label": "sofa", "attributes": []}]}
+    match = {"query": "the sofa", "frame": 9, "target": target, "candidates": candidates}
+    told = explain_match(match, {"use": "dssm"}, recorded=True)
+    return told.comparisons, query_explained_text("a.rrd", told), query_explained_json("a.rrd", told)
+
+
+def test_the_runner_up_is_another_place():
+    first, view, other = (
+        candidate(1, "viewpoint-2.1"),
+        candidate(2, "viewpoint-2.3"),
+        candidate(3, "viewpoint-5.1"),
+    )
+    (one,), text, _ = compared(first, view, other)
+    assert one.other is other
+    assert "runner-up: viewpoint-5.1, rank 3" in text
+    (one,), _, _ = compared(first, view)
+    assert one.other is view
+
+
+@pytest.mark.parametrize(
+    ("scores", "viewpoint", "tie", "words"),
+    [
+        (
+            {"similarity": 0.99999},
+            "viewpoint-5.1",
+            "similarity",
+            "similarity decided: 1.00000 against 0.99999",
+        ),
+        ({"similarity": 1 - 1e-8}, "viewpoint-5.1", "viewpoint id", "the smaller viewpoint id decided"),
+        (
+            {"core_distance": 0.5004},
+            "viewpoint-5.1",
+            "core_distance",
+            "decided: 0.5000 against 0.5004 metres",
+        ),
+        ({}, "viewpoint-12.1", "viewpoint id", "the smaller viewpoint id decided"),
+        ({}, "viewpoint-1.1", "unknown", "what decided is not recorded"),
+        ({}, "nowhere", "unknown", "what decided is not recorded"),
+        ({"similarity": 1.5}, "viewpoint-5.1", "unknown", "what decided is not recorded"),
+    ],
+)
+def test_a_tie_names_its_decider(scores, viewpoint, tie, words):
+    _, text, as_json = compared(candidate(1, "viewpoint-2.1"), candidate(2, viewpoint, **scores))
+    assert "equal scores; " in text
+    assert words in text
+    assert as_json["comparisons"][0]["tie"] == tie
 
 
 # The evaluation.

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import pytest
 from planted_run import LAYERS, SCORE, PlantedRun, occasions
 from project import project
 from recorded_run import record
+from test_replay import DEN, RUN, needs_open3d
 
+from dssmsg import events as ev
 from dssmsg.errors import InputError, StorageError
 from dssmsg.recording.reader import Recording
 from dssmsg.review.diff import Difference, compare
@@ -97,6 +103,89 @@ def test_a_threshold_is_named_with_the_score_that_it_refused(folder: Path) -> No
     assert "because association.delta_sim: 1.1 -> 1.2" in difference_text(found)
 
 
+class Recoloured(PlantedRun):
+    """The same run by slightly other colours, as a replay of JPEG images is one."""
+
+    def _sighting(self, number: int, name: str, viewpoint: str) -> list[Any]:
+        return [
+            replace(one, colors=one.colors // 2) if hasattr(one, "colors") else one
+            for one in super()._sighting(number, name, viewpoint)
+        ]
+
+    def _judged(self, index: int, seconds: float) -> Iterator[ev.Event]:
+        for event in super()._judged(index, seconds):
+            if isinstance(event, ev.WindowEvaluated):
+                evidence = [replace(one, values=MappingProxyType({"share": 0.8})) for one in event.evidence]
+                event = replace(event, evidence=tuple(evidence))
+            elif isinstance(event, ev.Matched):
+                told = [replace(one, scores={"score": 1.5 - one.rank / 4}) for one in event.candidates]
+                event = replace(event, candidates=tuple(told))
+            yield event
+
+
+def test_other_colours_and_numbers_are_traces(folder: Path, tmp_path: Path) -> None:
+    twin = record(Recoloured(run_id="twin"), tmp_path / "twin.rrd")
+    found = difference(base(folder), twin)
+    assert found.same
+    colours, numbers = found.traces
+    assert (colours.frame, colours.layer, colours.fields) == (0, "association", ("colors",))
+    assert (colours.a, colours.b) == ("", "")
+    assert (numbers.frame, numbers.layer, numbers.fields) == (0, "update", ("evidence",))
+    assert (numbers.a, numbers.b) == ("evidence[0].values.share 0.9", "evidence[0].values.share 0.8")
+    text = difference_text(found)
+    assert "parted       nowhere: every frame, detection, decision" in text
+    assert (
+        "first trace  frame 0, association (association/dssm): merge: the same decision, other colors" in text
+    )
+
+
+@pytest.mark.parametrize(
+    ("plant", "told"),
+    [
+        ("verdict changed", "a window differs: viewpoint-1.1 (verdicts)"),
+        ("rank swapped", "a match differs: the mug (candidates)"),
+        ("merge refused", "another change"),
+    ],
+)
+def test_a_decision_behind_other_colours_is_found(
+    folder: Path, tmp_path: Path, plant: str, told: str
+) -> None:
+    run = Recoloured(plant, 6, run_id="planted")
+    path = record(run, tmp_path / "planted.rrd")
+    found = difference(base(folder), path)
+    assert found.divergence is not None
+    assert (found.divergence.frame, found.divergence.layer) == (run.planted, LAYERS[plant])
+    assert told in difference_text(found)
+    assert len(found.traces) == 2
+
+
+@needs_open3d
+def test_a_jpeg_run_and_its_replay_part_where_a_decision_did(tmp_path: Path) -> None:
+    config = RUN.replace("images: lossless", "images: jpeg").replace("max_frames: 300", "max_frames: 40")
+    place = project(tmp_path, {"den.yaml": DEN, "dssmsg.yaml": config})
+    began = place.run("run", "--json")
+    assert began.code == 0, began.err
+    run = began.json["recording"]
+    paths = []
+    for limit in (1.1, 1.9):
+        done = place.run("replay", run, "--set", f"association.delta_sim={limit}", "--json")
+        assert done.code == 0, done.err
+        paths.append(place.path / done.json["recording"])
+    same = difference(place.path / run, paths[0])
+    assert same.same
+    assert "colors" in same.traces[0].fields
+    found = difference(place.path / run, paths[1])
+    assert found.divergence is not None
+    assert found.divergence.a != found.divergence.b
+    assert any(one.name == "s" and one.threshold_b == 1.9 for one in found.divergence.scores)
+    assert [one.key for one in found.because] == ["association.delta_sim"]
+    text = difference_text(found)
+    assert "images       A's are JPEG" in text
+    assert "the same decision, other colors, scores" in text
+    # Two replays saw the same images.
+    assert "images  " not in difference_text(difference(*paths))
+
+
 def test_results_are_compared(folder: Path) -> None:
     gone, _ = planted(folder, "object gone")
     pair = difference(base(folder), gone).objects.differing
@@ -162,6 +251,15 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     assert (done.code, (tmp_path / "both.rrd").stat().st_size > 0) == (0, True)
     assert f"parted       frame {frame}, topology (graph/topology)" in done.out
     assert "both side by side: both.rrd" in done.err
+    before = (tmp_path / "both.rrd").read_bytes()
+    refused = place.run("diff", "nowhere.rrd", str(path), "--recording", "both.rrd")
+    assert (refused.code, refused.out) == (2, "")
+    assert "both.rrd: --recording: exists already; give --force" in refused.err
+    assert (tmp_path / "both.rrd").read_bytes() == before
+    done = place.run("diff", str(base(folder)), str(base(folder)), "--recording", "both.rrd", "--force")
+    assert done.code == 0
+    assert (tmp_path / "both.rrd").read_bytes() != before
+    assert [one.name for one in tmp_path.iterdir()] == ["both.rrd"]
     wrong = place.run("diff", str(path), "nowhere.rrd")
     assert (wrong.code, wrong.out) == (2, "")
     assert "nowhere.rrd" in wrong.err

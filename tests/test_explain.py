@@ -69,6 +69,7 @@ def test_the_command_prints_lines_or_json(moved):
     assert plain.stdout.startswith(f"{ball}: ball, believed, moved")
     told = json.loads(runner.invoke(app, ["explain", str(path), "--object", ball, "--json"]).stdout)
     assert told["object"] == ball
+    assert told["recording"] == str(path)
     assert {"frames", "sim_time", "what", "scores"} <= set(told["events"][0])
 
 

@@ -104,7 +104,9 @@ def test_every_combination_is_run_once_and_the_table_is_the_same_again(whole: tu
     assert all(row["table"] == "sweep" for row in table_rows)
     again = folder.run("sweep", "matrix.yaml", "--json")
     assert (again.code, again.out) == (0, printed_first)
-    assert "4 of 4 runs were done before" in again.err
+    lines = again.err.splitlines()
+    assert lines[0].startswith("sweep in sweeps/matrix: 4 runs, up to ")
+    assert lines[1] == "4 of 4 runs were done before"
     assert log(folder, "begin") == RUNS
     kept = rows((folder.path / "sweeps/matrix/runs.csv").read_text())
     assert [(row["configuration"], row["seed"]) for row in kept] == [
@@ -235,7 +237,9 @@ def test_interrupted_children_do_not_outlive_the_sweep(folder: Project) -> None:
         ("configurations: {a b: }", "configurations"),
         ("configurations: {a: {source.nothing: 1}}", "configuration a: source.nothing"),
         ("configurations: {a: {perception: {use: nobody}}}", "nobody"),
-        ("config: missing.yaml", "missing.yaml"),
+        ("config: missing.yaml\nseeds: 1", "missing.yaml"),
+        ("", "says nothing to sweep; expected configurations, scenes or seeds"),
+        ("set: {source.frames: 4}", "says nothing to sweep"),
         ("[1, 2]", "matrix.yaml"),
     ],
 )
@@ -247,6 +251,14 @@ def test_a_wrong_matrix_is_said_before_anything_is_run(folder: Project, matrix: 
     assert done.code == 2
     assert words in done.err
     assert len(done.err.splitlines()) <= 2
+    assert not (folder.path / "sweeps").exists()
+
+
+def test_an_empty_matrix_is_refused(folder: Project) -> None:
+    (folder.path / "matrix.yaml").write_text("")
+    done = folder.run("sweep", "matrix.yaml")
+    assert done.code == 2
+    assert "matrix.yaml: says nothing to sweep" in done.err
     assert not (folder.path / "sweeps").exists()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import urllib.parse
 from collections.abc import Iterator
@@ -102,6 +103,22 @@ def test_the_layout_of_the_file_unless_another_is_asked_for(
     assert main(["view", str(path), "--layout", "navigation"]) == 0
     assert layouts == ["dynamics", "navigation"]
     assert opened == [["run.rrd"], ("shown", True, None), "stopped"] * 2
+
+
+def test_json_says_what_is_open(path: Path, opened: list[Any], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", str(path), "--focus", "object-1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == {
+        "recording": str(path),
+        "layout": "dynamics",
+        "frame": 7,
+        "focus": "object-1",
+        "page": None,
+    }
+    assert main(["view", str(path), "--web", "--json"]) == 0
+    written = capsys.readouterr()
+    assert json.loads(written.out)["page"] == "http://127.0.0.1:1/"
+    assert "open http://127.0.0.1:1/" in written.err
 
 
 def test_focus_opens_where_the_object_was_judged_last(path: Path, opened: list[Any]) -> None:

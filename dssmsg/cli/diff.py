@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
                 show_default=False,
             ),
         ] = None,
+        force: Annotated[bool, typer.Option("--force", help="Overwrite OUT.rrd.")] = False,
         view: Annotated[bool, typer.Option("--view", help="Open both side by side in the viewer.")] = False,
         as_json: JsonOption = False,
     ) -> None:
@@ -37,19 +38,24 @@ def register(app: typer.Typer) -> None:
 
         dssmsg diff a.rrd b.rrd --recording both.rrd
         """
-        diff_command(a, b, recording, view=view, as_json=as_json)
+        diff_command(a, b, recording, force=force, view=view, as_json=as_json)
 
 
-def diff_command(a: Path, b: Path, output: Path | None, *, view: bool, as_json: bool) -> None:
+def diff_command(
+    a: Path, b: Path, output: Path | None, *, force: bool = False, view: bool, as_json: bool
+) -> None:
     """Compare two recordings, print the difference, and show both side by side where that is asked for."""
     import tempfile
 
     from dssmsg.cli.output import note, print_json, show
     from dssmsg.cli.recordings import warn_of_cuts
+    from dssmsg.errors import ConfigError
     from dssmsg.recording.reader import Recording
     from dssmsg.review.diff import compare
     from dssmsg.review.diff_text import difference_text
 
+    if output is not None and output.exists() and not force:  # before the work, and again after it
+        raise ConfigError("exists already; give --force to overwrite it", file=output, key="--recording")
     with (
         Recording.open(a) as first,
         Recording.open(b) as second,
@@ -61,9 +67,10 @@ def diff_command(a: Path, b: Path, output: Path | None, *, view: bool, as_json: 
         if output is not None or view:
             from dssmsg.review.diff_picture import write_picture
 
-            place = Path(folder) / "both.rrd" if output is None else output
+            place = Path(folder) / ("both.rrd" if output is None else output.name)
             write_picture(place, first, second, difference)
             if output is not None:
+                _keep(place, output, force=force)
                 note(f"both side by side: {output}")
         if as_json:
             print_json(difference.to_json())
@@ -77,3 +84,14 @@ def diff_command(a: Path, b: Path, output: Path | None, *, view: bool, as_json: 
                 viewer.wait()
             finally:
                 viewer.stop()
+
+
+def _keep(picture: Path, output: Path, *, force: bool) -> None:
+    """Put the finished picture where it was asked for, whole or not at all."""
+    from contextlib import suppress
+
+    from dssmsg.cli.recordings import write_output
+
+    with suppress(OSError):  # writing says why it fails
+        output.parent.mkdir(parents=True, exist_ok=True)
+    write_output(picture.read_bytes(), output, force=force)

@@ -131,6 +131,8 @@ def _folder(directory: Path | None) -> Path:
     if folder is None:
         folder = Path(load_config().recording.directory)
         note(f"reading {folder}")
+    if not folder.exists():
+        raise InputError("no such folder", file=folder)
     if not folder.is_dir():
         raise InputError("expected a folder with recordings (.rrd)", file=folder)
     return folder

@@ -78,11 +78,12 @@ def show_explanation(recording: Path | None, object_id: str, *, as_json: bool) -
     from dssmsg.recording.reader import Recording
     from dssmsg.review.life import life_of, life_text
 
-    with Recording.open(chosen(recording)) as opened:
+    path = chosen(recording)
+    with Recording.open(path) as opened:
         warn_of_cuts(opened)
         life = life_of(opened, object_id)
     if as_json:
-        print_json(life.to_json())
+        print_json({"recording": str(path), **life.to_json()})
     else:
         show(life_text(life))
 

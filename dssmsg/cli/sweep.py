@@ -97,10 +97,12 @@ def run_sweep(
         matrix = read_matrix(file)
         place = work or Path("sweeps") / matrix.name
         runs = plan_runs(matrix, file, place)
+        at_once = jobs or _cores()
+        note(f"sweep in {place}: {len(runs)} run{'s' * (len(runs) > 1)}, up to {at_once} at a time")
         carry_out: EngineFunction = sweep_engines.local
         if engine is Engine.RAY:
             carry_out = partial(sweep_engines.ray, address=address)
-        results = sweep(runs, carry_out, jobs=jobs or _cores(), progress=progress)
+        results = sweep(runs, carry_out, jobs=at_once, progress=progress)
         rows = sweep_rows(results)
         (place / "runs.csv").write_text(rows_csv(run_rows(results, place)), "utf-8")
     if as_json:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dssmsg.cli.options import JsonOption
 from dssmsg.cli.recordings import AtOption, RecordingArgument, chosen, moment, warn_of_cuts
 
 if TYPE_CHECKING:
@@ -48,12 +49,14 @@ def register(app: typer.Typer) -> None:
             Layout | None,
             typer.Option("--layout", help="What to show; else what the recording was made to show."),
         ] = None,
+        as_json: JsonOption = False,
     ) -> None:
         """Open a recording in the viewer.
 
         --focus looks at a node from nearby, with a bright box round it and its life told beside; without
         --at it opens at the last time that a window judged the object. A page (--web) is served to this
         machine alone; Ctrl-C ends it. What `dssmsg diff --recording` wrote is shown in the layout comparison.
+        --json says what is shown and where, once it is open.
 
         \b
         Examples:
@@ -62,7 +65,14 @@ def register(app: typer.Typer) -> None:
           dssmsg view --focus object-12 --layout dynamics
           dssmsg view --web --at time=24.5
         """
-        open_viewer(chosen(recording), web=web, at=at, focus=focus, layout=layout and layout.value)
+        open_viewer(
+            chosen(recording),
+            web=web,
+            at=at,
+            focus=focus,
+            layout=layout and layout.value,
+            as_json=as_json,
+        )
 
 
 def open_viewer(
@@ -72,6 +82,7 @@ def open_viewer(
     at: str | None = None,
     focus: str | None = None,
     layout: str | None = None,
+    as_json: bool = False,
 ) -> None:
     """Show a recording and wait until the window is closed.
 
@@ -85,7 +96,7 @@ def open_viewer(
     from dssmsg.recording.viewer import Viewer
 
     if _is_comparison(path):
-        _open_comparison(path, web=web, at=at, focus=focus, layout=layout)
+        _open_comparison(path, web=web, at=at, focus=focus, layout=layout, as_json=as_json)
         return
     if layout == Layout.COMPARISON:
         raise ConfigError(
@@ -106,14 +117,16 @@ def open_viewer(
         if focus is not None:
             additions.append(Path(folder) / "focus.rrd")
             save_focus(additions[0], opened.facts["run_id"], graph, focus, _page(opened, graph, focus))
+        page = None
         if web:
             last = max(opened.frame_indices, default=0)
-            viewer = _serve(opened.readable_path, shown, additions, last if frame is None else frame)
+            viewer, page = _serve(opened.readable_path, shown, additions, last if frame is None else frame)
         else:
             viewer = Viewer.start([opened.readable_path, *additions])
         try:
             if not web:
                 viewer.show(shown, frame)
+            _say_open(path, named, frame, focus, page, as_json=as_json)
             viewer.wait()
         finally:
             viewer.stop()
@@ -135,9 +148,25 @@ def _is_comparison(path: Path) -> bool:
         return False
 
 
-def _open_comparison(path: Path, *, web: bool, at: str | None, focus: str | None, layout: str | None) -> None:
+def _say_open(
+    path: Path, layout: str, frame: int | None, focus: str | None, page: str | None, *, as_json: bool
+) -> None:
+    """The address of a page for the human; with `--json` what is open, at once, as the viewer stays."""
+    import sys
+
+    from dssmsg.cli.output import note, print_json
+
+    if page is not None:
+        note(f"open {page} (Ctrl-C ends it)")
+    if as_json:
+        print_json({"recording": str(path), "layout": layout, "frame": frame, "focus": focus, "page": page})
+        sys.stdout.flush()
+
+
+def _open_comparison(
+    path: Path, *, web: bool, at: str | None, focus: str | None, layout: str | None, as_json: bool
+) -> None:
     """Show two runs side by side, as the file itself says. Raises ConfigError for what only one run has."""
-    from dssmsg.cli.output import note
     from dssmsg.errors import ConfigError
     from dssmsg.recording.viewer import Viewer
 
@@ -148,21 +177,23 @@ def _open_comparison(path: Path, *, web: bool, at: str | None, focus: str | None
     frame = (at or "").removeprefix("frame=")
     if frame and not (frame.isdecimal() and len(frame) < 10):
         raise ConfigError(f"expected frame=N for two runs side by side, got {at!r}", key="--at")
+    page = None
     if web:
-        viewer, address = Viewer.serve([path])
-        note(f"open {address} (Ctrl-C ends it)")
+        viewer, page = Viewer.serve([path])
     else:
         viewer = Viewer.start([path])
+    shown = int(frame) if frame and not web else None
     try:
-        if frame and not web:
-            viewer.show(frame=int(frame))
+        if shown is not None:
+            viewer.show(frame=shown)
+        _say_open(path, Layout.COMPARISON.value, shown, None, page, as_json=as_json)
         viewer.wait()
     finally:
         viewer.stop()
 
 
-def _serve(recording: Path, layout: Blueprint, additions: list[Path], frame: int) -> Viewer:
-    """A page that opens at a frame; where that cannot be, one that opens at the end, with a word why."""
+def _serve(recording: Path, layout: Blueprint, additions: list[Path], frame: int) -> tuple[Viewer, str]:
+    """A page that opens at a frame, and its address; where that cannot be, one that opens at the end."""
     from dssmsg.cli.output import note
     from dssmsg.recording import schema
     from dssmsg.recording.viewer import Viewer, ViewerError
@@ -171,12 +202,10 @@ def _serve(recording: Path, layout: Blueprint, additions: list[Path], frame: int
         layout_file = Path(folder) / "layout.rbl"
         layout.save(schema.APPLICATION_ID, str(layout_file))
         try:
-            viewer, address = Viewer.serve_at(recording, frame, layout_file, additions)
+            return Viewer.serve_at(recording, frame, layout_file, additions)
         except ViewerError as error:
             note(f"the page opens at the end, in the recording's own layout: {error.message}")
-            viewer, address = Viewer.serve([recording, *additions])
-    note(f"open {address} (Ctrl-C ends it)")
-    return viewer
+            return Viewer.serve([recording, *additions])
 
 
 def _own_layout(recording: Recording) -> str:

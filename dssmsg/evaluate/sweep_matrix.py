@@ -83,6 +83,8 @@ class Run:
 def read_matrix(file: Path) -> Matrix:
     """The matrix of a file. Raises ConfigError naming file and key."""
     matrix: Matrix = validate(Matrix, read_yaml(file), file=str(file))
+    if matrix.model_fields_set.isdisjoint(("configurations", "scenes", "seeds")):
+        raise ConfigError("says nothing to sweep; expected configurations, scenes or seeds", file=file)
     if not matrix.name:
         stem = re.sub(r"[^A-Za-z0-9._-]", "_", file.stem).lstrip("._-")[:64]
         matrix = matrix.model_copy(update={"name": stem or "sweep"})

@@ -40,7 +40,10 @@ class ChunkFile:
             reader = RrdReader(path)
             recordings = reader.recordings()
             if not recordings:
-                raise InputError("holds no recording, at most a viewer layout", file=shown_path)
+                raise InputError(
+                    "holds no recording, at most a viewer layout, or was cut off before the run began",
+                    file=shown_path,
+                )
             self._store = reader.store(store=recordings[0])
         self.application_id: str = recordings[0].application_id
         self.recording_id: str = recordings[0].recording_id

@@ -11,7 +11,8 @@ from dssmsg.interfaces import Diagnosis
 from dssmsg.interfaces.diagnosis import LAYERS, Finding
 from dssmsg.review.episode import EpisodeCase, ReviewedRecording
 
-FAULT, CANNOT_TELL, NO_FAULT = "fault", "cannot tell", "no fault"
+FAULT, CANNOT_TELL, NO_FAULT, NOT_BEGUN = "fault", "cannot tell", "no fault", "not begun"
+_BUDGET = "mission.max_frames"
 SURE = 0.55
 """A finding less sure than this names nobody."""
 VERY_SURE = 0.8
@@ -32,7 +33,8 @@ class Diagnosed:
     """What the rules make of an episode.
 
     verdict `fault` names a `layer`; `cannot tell` has none, whatever the findings hint at; `no fault`: it
-    ended well, and nothing speaks against that. `frame` is the first one where things went wrong, `chain`
+    ended well, and nothing speaks against that; `not begun`: the run ended before its turn, by `key` of the
+    configuration if that is what ended it. `frame` is the first one where things went wrong, `chain`
     what happened from there to the end, `problems` the rules that failed themselves.
     """
 
@@ -52,6 +54,7 @@ class Diagnosed:
     findings: tuple[RuleFinding, ...]
     chain: tuple[str, ...]
     problems: tuple[str, ...]
+    key: str = ""
 
     @property
     def lead(self) -> Finding | None:
@@ -66,6 +69,8 @@ def diagnose(recording: ReviewedRecording, episode: int, rules: Sequence[tuple[s
     there is no such episode.
     """
     case = recording.case(episode)
+    if case.reason == NOT_BEGUN:
+        return _not_begun(case)
     found: list[RuleFinding] = []
     problems: list[str] = []
     for name, rule in rules:
@@ -100,6 +105,41 @@ def diagnose(recording: ReviewedRecording, episode: int, rules: Sequence[tuple[s
         chain=() if lead is None else _chain(case, lead),
         problems=tuple(problems),
     )
+
+
+def _not_begun(case: EpisodeCase) -> Diagnosed:
+    """An episode that no rule can say anything of: only how the run ended."""
+    key, why = _ending(case.recording)
+    return Diagnosed(
+        episode=case.number,
+        goal=case.goal,
+        outcome=case.outcome,
+        reason=case.reason,
+        mistaken=False,
+        with_truth=False,
+        note=f"never begun: the run ended at frame {case.last}, {why}",
+        verdict=NOT_BEGUN,
+        layer="",
+        frame=None,
+        sim_time=None,
+        last_frame=case.last,
+        findings=(),
+        chain=(),
+        problems=(),
+        key=key,
+    )
+
+
+def _ending(recording: ReviewedRecording) -> tuple[str, str]:
+    """The key that a run was ended by, empty where it was none; and why it ended, in words."""
+    if recording.facts.get("parent"):
+        return "", "where the recorded run that it replays did"
+    if not (recording.stored_summary or {}).get("out_of_frames"):
+        return "", "where the source gave no more frames"
+    mission = recording.config.get("mission")
+    budget = mission.get("max_frames") if isinstance(mission, Mapping) else None
+    told = f" ({budget})" if isinstance(budget, int) else ""
+    return _BUDGET, f"where {_BUDGET}{told} was used up; raise it"
 
 
 def _note(case: EpisodeCase) -> str:
@@ -156,6 +196,7 @@ def diagnosed_json(path: str, found: Diagnosed) -> dict[str, Any]:
         "basis": None if lead is None else lead.basis,
         "frame": found.frame,
         "sim_time": found.sim_time,
+        "key": found.key or None,
         "decision": None if lead is None else _decision(lead),
         "chain": list(found.chain),
         "findings": [_finding(one) for one in found.findings],
@@ -202,7 +243,7 @@ def diagnosed_text(path: str, found: Diagnosed) -> str:
             "the recorded truth bears it out" if found.with_truth else "nothing in the recording disagrees"
         )
         lines += ["", f"no fault was found: {known}"]
-    else:
+    elif found.verdict != NOT_BEGUN:
         lines += ["", "cannot tell which layer is to blame: no rule is sure enough"]
     others = [one for one in found.findings if one.finding is not lead]
     if others:

@@ -31,7 +31,10 @@ _TOP = 3
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One of the two runs. `relation` says what it is to the other: "", parent or replay."""
+    """One of the two runs. `relation` says what it is to the other: "", parent or replay.
+
+    `images` is how colours are kept: jpeg or lossless.
+    """
 
     recording: str
     run_id: str
@@ -41,6 +44,7 @@ class Side:
     changes: int
     parent: str | None
     relation: str = ""
+    images: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +165,7 @@ def _side(recording: Recording, other: Recording) -> Side:
         changes=recording.changes_readable,
         parent=facts.get("parent"),
         relation=relation,
+        images=str(facts.get("images", "")),
     )
 
 

@@ -5,22 +5,32 @@ chose, what perception saw, what a language model answered to the same question,
 change of the graph in the order of application, windows, matches, the driver, episodes. All that stands
 before the first difference is equal, so its maker got the same input in both runs.
 
-A *trace* is a difference without consequence: a score or a threshold that moved while the decision stayed.
+A *trace* is a difference without consequence: a score, a threshold or a stored colour that is another while
+the decision is the same (`diff_decision`).
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Any
 
-from dssmsg.errors import InputError
 from dssmsg.recording import schema
-from dssmsg.recording.damage import json_object
+from dssmsg.recording.damage import json_object, reading
 from dssmsg.recording.describe import change_line
 from dssmsg.recording.reader import Recording
+from dssmsg.review.diff_decision import (
+    KIND_OF_TRACE,
+    NUMBERS,
+    change_decision,
+    differing,
+    match_decision,
+    told_apart,
+    whole,
+    window_decision,
+)
 from dssmsg.review.diff_frames import (
     detection_divergence,
     image_divergence,
@@ -31,20 +41,39 @@ from dssmsg.review.divergence import Divergence, Term, parted, plugin_of
 
 Json = dict[str, Any]
 
+Traces = dict[str, Divergence]
+"""The first trace of each kind."""
+
 _NEVER = 2**62
 
 
 @dataclass(slots=True)
 class _Found:
-    """What has been found so far: the earliest by frame, then by the order of causes."""
+    """What has been found so far: the earliest by frame, then by the order of causes.
+
+    `first_traces` are the first one of numbers, and the first one of appearance.
+    """
 
     best: Divergence | None = None
     rank: tuple[int, int] = (_NEVER, 0)
-    traces: list[Divergence] = field(default_factory=list)
+    first_traces: dict[str, tuple[tuple[int, int], Divergence]] = field(default_factory=dict)
 
     def offer(self, order: int, divergence: Divergence | None) -> None:
         if divergence is not None and (divergence.frame, order) < self.rank:
             self.best, self.rank = divergence, (divergence.frame, order)
+
+    def note(self, order: int, traces: Traces) -> None:
+        """Keep the earlier trace of each kind."""
+        for kind, trace in traces.items():
+            rank = trace.frame, order
+            if kind not in self.first_traces or rank < self.first_traces[kind][0]:
+                self.first_traces[kind] = rank, trace
+
+    @property
+    def traces(self) -> tuple[Divergence, ...]:
+        """The traces up to the divergence, in order; one may be the first of both kinds."""
+        told = sorted(self.first_traces.values(), key=lambda one: one[0])
+        return tuple(dict.fromkeys(trace for (frame, _), trace in told if frame <= self.rank[0]))
 
 
 def first_divergence(a: Recording, b: Recording) -> tuple[Divergence | None, tuple[Divergence, ...]]:
@@ -54,19 +83,30 @@ def first_divergence(a: Recording, b: Recording) -> tuple[Divergence | None, tup
     found.offer(1, key_frame_divergence(a, b))
     found.offer(3, _answers(a, b))
     found.offer(4, _failures(a, b))
-    change, trace = _changes(a, b)
+    change, traces = _changes(a, b)
     found.offer(5, change)
-    update, grounding = plugin_of(a, "update"), plugin_of(a, "grounding")
-    found.offer(6, _rows(a, b, schema.WINDOWS, "update", update, "a window", "viewpoint"))
-    found.offer(7, _rows(a, b, schema.MATCHES, "grounding", grounding, "a match", "query"))
+    found.note(5, traces)
+    rows = (
+        (
+            6,
+            _Rows(schema.WINDOWS, "update", plugin_of(a, "update"), "a window", "viewpoint", window_decision),
+        ),
+        (
+            7,
+            _Rows(schema.MATCHES, "grounding", plugin_of(a, "grounding"), "a match", "query", match_decision),
+        ),
+        (9, _Rows(schema.EPISODES, "mission", "mission", "an episode", "goal", whole)),
+    )
+    for order, table in rows:
+        row, traces = _first_row(a, b, table)
+        found.offer(order, row)
+        found.note(order, traces)
     found.offer(8, _driver(a, b))
-    found.offer(9, _rows(a, b, schema.EPISODES, "mission", "mission", "an episode", "goal"))
     # Perception is dear to compare, so only as far as anything else is equal.
     found.offer(2, detection_divergence(a, b, found.rank[0]))
     if found.best is not None:
         found.offer(0, image_divergence(a, b, found.rank[0]))
-    traces = [one for one in (trace,) if one is not None and one.frame <= found.rank[0]]
-    return found.best, tuple(traces)
+    return found.best, found.traces
 
 
 def _answers(a: Recording, b: Recording) -> Divergence | None:
@@ -125,31 +165,48 @@ def _failures(a: Recording, b: Recording) -> Divergence | None:
     return None
 
 
+Decision = Callable[[Json], Json]
+
+
+def _differing_rows(
+    a: Recording,
+    b: Recording,
+    table: schema.Table,
+    texts: tuple[Iterable[str], Iterable[str]],
+    decision: Decision,
+) -> Iterator[tuple[Json | None, Json | None, bool]]:
+    """Rows that are not the same, place by place, and whether the decision is; None past the end of a run.
+
+    Equal texts are not read: an hour's windows are large.
+    """
+    for pair in zip_longest(*texts):
+        if pair[0] == pair[1]:
+            continue
+        rows: list[Json | None] = []
+        decided: list[Json | None] = []
+        for recording, text in zip((a, b), pair, strict=True):
+            with reading(recording.path, f"a row of {table.path}"):
+                rows.append(None if text is None else json_object(text))
+                decided.append(None if rows[-1] is None else decision(rows[-1]))
+        if rows[0] != rows[1]:
+            yield rows[0], rows[1], decided[0] == decided[1]
+
+
 # The graph.
 
 
-def _changes(a: Recording, b: Recording) -> tuple[Divergence | None, Divergence | None]:
-    """The first change that came out differently, and the first trace before it."""
-    trace: Divergence | None = None
-    for texts in zip_longest(a.change_texts(), b.change_texts()):
-        if texts[0] == texts[1]:
-            continue
-        ours, theirs = (
-            None if text is None else _read(recording, schema.GRAPH_LOG, text)
-            for recording, text in zip((a, b), texts, strict=True)
-        )
-        if ours == theirs:
-            continue
-        if ours is not None and theirs is not None and _outcome(ours) == _outcome(theirs):
-            if trace is None and ours["scores"] != theirs["scores"]:
-                trace = _change(a, b, ours, theirs, consequence=False)
-            continue
-        return _change(a, b, ours, theirs, consequence=True), trace
-    return None, trace
-
-
-def _outcome(row: Json) -> Json:
-    return {name: value for name, value in row.items() if name not in ("scores", "cause")}
+def _changes(a: Recording, b: Recording) -> tuple[Divergence | None, Traces]:
+    """The first change that came out differently, and the first traces before it."""
+    traces: Traces = {}
+    texts = a.change_texts(), b.change_texts()
+    for ours, theirs, same in _differing_rows(a, b, schema.GRAPH_LOG, texts, change_decision):
+        if ours is None or theirs is None or not same:
+            return _change(a, b, ours, theirs, consequence=True), traces
+        fields = differing(ours, theirs)
+        kinds = {KIND_OF_TRACE[name] for name in fields if name in KIND_OF_TRACE}
+        if new := sorted(kinds - traces.keys()):
+            traces |= dict.fromkeys(new, _change(a, b, ours, theirs, consequence=False))
+    return None, traces
 
 
 def _change(
@@ -159,19 +216,22 @@ def _change(
     # The log that says less for now has nothing to say of this frame.
     frame = min(int(row["frame"]) for row in rows)
     here = [row if row is not None and row["frame"] == frame else None for row in (ours, theirs)]
-    first = next(row for row in here if row is not None)
-    cause = first["cause"]
+    cause = next(row for row in here if row is not None)["cause"]
     plugin = str(cause["plugin"])
-    fields: tuple[str, ...] = ("change",)
-    if here[0] is not None and here[1] is not None and here[0]["subjects"] == here[1]["subjects"]:
-        names = dict.fromkeys([*here[0], *here[1]])
-        fields = tuple(name for name in names if here[0].get(name) != here[1].get(name))
     lines = [
         _line(recording, row) if row is not None else "no such change"
         for recording, row in zip((a, b), here, strict=True)
     ]
-    what = f"{cause['rule']}: " + ("another change" if consequence else "the same decision by other numbers")
-    return parted(frame, _layer(plugin), plugin, what, lines, fields, _terms(here[0], here[1]), consequence)
+    what = f"{cause['rule']}: " + ("another change" if consequence else "the same decision")
+    fields: tuple[str, ...] = ("change",)
+    one, other = here
+    if one is not None and other is not None and one["subjects"] == other["subjects"]:
+        fields = differing(one, other)
+        decided = differing(change_decision(one), change_decision(other))
+        what += f", other {', '.join(decided or [name for name in fields if name != 'cause'])}"
+        if lines[0] == lines[1]:
+            lines = list(told_apart(one, other))
+    return parted(frame, _layer(plugin), plugin, what, lines, fields, _terms(one, other), consequence)
 
 
 def _line(recording: Recording, row: Json) -> str:
@@ -200,40 +260,62 @@ def _layer(plugin: str) -> str:
 # The rest.
 
 
-def _rows(
-    a: Recording, b: Recording, table: schema.Table, layer: str, plugin: str, noun: str, key: str
-) -> Divergence | None:
-    """The first row of a table that differs. Equal texts are not read: an hour's windows are large."""
-    for texts in zip_longest(a.told.texts(table), b.told.texts(table)):
-        if texts[0] == texts[1]:
-            continue
-        one, other = (
-            None if text is None else _read(recording, table, text)
-            for recording, text in zip((a, b), texts, strict=True)
-        )
-        if one == other:
-            continue
-        rows = [row for row in (one, other) if row is not None]
-        first = min(rows, key=lambda row: int(row["frame"]))
-        fields: tuple[str, ...] = (key,)
-        if one is not None and other is not None:
-            fields = tuple(name for name in dict.fromkeys([*one, *other]) if one.get(name) != other.get(name))
-        sides = ["none" if row is None else _short(row, fields) for row in (one, other)]
-        what = f"{noun} differs: {first[key]} ({', '.join(fields)})"
-        return parted(max(0, int(first["frame"])), layer, plugin, what, sides, fields=fields)
-    return None
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """A table whose rows are compared in order: whose it is, how a row is called, what in it is decided."""
+
+    table: schema.Table
+    layer: str
+    plugin: str
+    noun: str
+    key: str
+    decision: Decision
 
 
-def _read(recording: Recording, table: schema.Table, text: str) -> Json:
-    try:
-        return json_object(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"a row of {table.path} is damaged ({error})", file=recording.path) from error
+def _first_row(a: Recording, b: Recording, rows: _Rows) -> tuple[Divergence | None, Traces]:
+    """The first row that came out differently, and the first trace before it."""
+    traces: Traces = {}
+    texts = a.told.texts(rows.table), b.told.texts(rows.table)
+    for one, other, same in _differing_rows(a, b, rows.table, texts, rows.decision):
+        if not same:
+            return _row_divergence(rows, one, other), traces
+        if NUMBERS not in traces:
+            traces[NUMBERS] = _row_divergence(rows, one, other)
+    return None, traces
+
+
+def _row_divergence(rows: _Rows, one: Json | None, other: Json | None) -> Divergence:
+    first = min((row for row in (one, other) if row is not None), key=lambda row: int(row["frame"]))
+    fields: tuple[str, ...] = (rows.key,)
+    consequence = True
+    if one is None or other is None:
+        ours, theirs = ("none" if row is None else str(row[rows.key]) for row in (one, other))
+    else:
+        decided = rows.decision(one), rows.decision(other)
+        consequence = decided[0] != decided[1]
+        told = decided if consequence else (one, other)
+        fields = differing(*told)
+        ours, theirs = told_apart(*told)
+    names = ", ".join(fields)
+    differs = f"differs: {first[rows.key]} ({names})"
+    what = differs if consequence else f"of {first[rows.key]}: the same decision, other {names}"
+    frame = max(0, int(first["frame"]))
+    return Divergence(
+        frame,
+        rows.layer,
+        rows.plugin,
+        f"{rows.noun} {what}",
+        ours,
+        theirs,
+        fields,
+        consequence=consequence,
+    )
 
 
 def _driver(a: Recording, b: Recording) -> Divergence | None:
     seeks = [phase["frame"] for phase in a.phases() if phase["phase"] == "seek"]
-    found = _rows(a, b, schema.NAVIGATION, "navigation", "", "the driver", "state")
+    rows = _Rows(schema.NAVIGATION, "navigation", "", "the driver", "state", whole)
+    found, _ = _first_row(a, b, rows)
     if found is None:
         return None
     driven = bool(seeks) and found.frame >= min(seeks) - 1
@@ -246,8 +328,3 @@ def _driver(a: Recording, b: Recording) -> Divergence | None:
         (found.a, found.b),
         found.fields,
     )
-
-
-def _short(row: Json, fields: Sequence[str], limit: int = 160) -> str:
-    text = ", ".join(f"{name} {json.dumps(row.get(name), sort_keys=True)}" for name in fields)
-    return text if len(text) <= limit else text[: limit - 3] + "..."

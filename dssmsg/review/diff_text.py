@@ -23,6 +23,7 @@ def _lines(d: Difference) -> Iterator[str]:
     yield _row("A", _side(d.a))
     yield _row("B", _side(d.b))
     yield from _block("settings", [_setting(one) for one in d.settings], "the same")
+    yield from _images(d)
     yield from _divergence(d)
     yield from _objects(d)
     differing = [f"{kind} {a} -> {b}" for kind, (a, b) in d.changes.items() if a != b]
@@ -73,17 +74,29 @@ def _setting(setting: Setting) -> str:
     return f"{setting.key}: {_value(setting.a)} -> {_value(setting.b)}"
 
 
+def _images(d: Difference) -> Iterator[str]:
+    """A replay of images with losses sees others than the run did."""
+    for name, side in (("A", d.a), ("B", d.b)):
+        if side.relation == "parent" and side.images != "lossless":
+            yield _row(
+                "images",
+                f"{name}'s are {side.images.upper()}: its replay sees colours a little otherwise, so they"
+                " and scores made of them differ",
+            )
+
+
 def _divergence(d: Difference) -> Iterator[str]:
     if d.divergence is None:
-        yield _row("parted", "nowhere: every frame, detection, change, match and episode is the same")
+        equal = "decision" if d.traces else "change"
+        yield _row("parted", f"nowhere: every frame, detection, {equal}, match and episode is the same")
     else:
         yield from _parting("parted", d.divergence)
         if d.because:
             yield from _block("", [f"because {_setting(one)}" for one in d.because])
         else:
             yield _row("", "no setting of this layer differs: other data, other code or chance")
-    for trace in d.traces:
-        yield from _parting("first trace", trace)
+    for place, trace in enumerate(d.traces):
+        yield from _parting("first trace" if place == 0 else "trace", trace)
 
 
 def _parting(name: str, one: Divergence) -> Iterator[str]:

@@ -113,7 +113,7 @@ class EpisodeCase:
         self.ended: Json | None = next((e for e in episodes if e["episode"] == number), None)
         if self.ended is None:
             known = [str(e["episode"]) for e in episodes]
-            some = f"it has {', '.join(known[:20])}" if known else "no goal was sought in it"
+            some = f"its episodes: {', '.join(known[:20])}" if known else "no goal was sought in it"
             raise InputError(
                 f"there is no episode {number} in the recording; {some}", file=recording.path, key="--episode"
             )

@@ -43,6 +43,7 @@ FIELDS: dict[str, str] = {
 """What `--where` may name: field -> meaning. Other figures that episodes have are fields too."""
 
 _SLOTS = ("perception", "encoder", "llm", "association", "update", "grounding", "navigation")
+_COUNTS = frozenset({"frames", "replans", "detours", "viewpoints"})
 _SHOWN = ("outcome", "goal", "scene", "seed", "seconds", "metres", "recording", "episode")
 _LONGEST = 44
 
@@ -53,7 +54,7 @@ def episode_rows(runs: Mapping[Path, RunEntry], below: Path) -> Iterator[Row]:
         for told in entry.episodes:
             success = told["outcome"] == "success"
             figures = {
-                name: value
+                name: int(value) if name in _COUNTS and value == int(value) else value
                 for name, value in told.get("values", {}).items()
                 if isinstance(value, int | float) and math.isfinite(value)
             }

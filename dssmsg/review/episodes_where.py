@@ -2,7 +2,8 @@
 
 Fields, text, numbers, `true`, `false`, `none`, lists; `==`, `!=`, `<`, `<=`, `>`, `>=`, `in`, `not in`;
 `and`, `or`, `not`; `+`, `-`, `*`, `/` of numbers. A field that a row lacks is `none`: it equals only `none`,
-and every other comparison with it is false.
+and every other comparison with it is false. What cannot be compared at all, like a number with a text, is
+refused.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
 
 
 def condition(text: str, fields: Mapping[str, str], key: str = "--where") -> Callable[[Row], bool]:
-    """A test of rows. `fields` are the names that rows may have. Raises ConfigError for anything else."""
+    """A test of rows. `fields` are the names that rows may have. Raises ConfigError for anything else.
+
+    The test raises ConfigError too, where it comes to values that cannot be compared.
+    """
     term = value_of(text, fields, key)
     return lambda row: bool(term(row))
 
@@ -80,13 +84,14 @@ class _Reader:
                 return lambda row: not inner(row)
             case ast.UnaryOp(op=ast.USub(), operand=part):
                 inner = self.term(part)
-                return lambda row: _number(operator.sub, 0, inner(row))
+                return lambda row: self._number(operator.sub, 0, inner(row), node)
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _ARITHMETIC:
                 first, second, apply = self.term(left), self.term(right), _ARITHMETIC[type(op)]
-                return lambda row: _number(apply, first(row), second(row))
+                return lambda row: self._number(apply, first(row), second(row), node)
             case ast.Compare(left=left, ops=ops, comparators=others):
-                terms = [self.term(left), *map(self.term, others)]
-                return lambda row: _all_hold([one(row) for one in terms], ops)
+                parts = [left, *others]
+                terms = list(map(self.term, parts))
+                return lambda row: self._all_hold(parts, [one(row) for one in terms], ops)
         raise ConfigError(
             f"'{ast.unparse(node)[:60]}' is not accepted; expected fields, values, comparisons, and, or, not",
             key=self._key,
@@ -100,37 +105,61 @@ class _Reader:
             return lambda row: value
         raise ConfigError(f"no field '{name}'; there are {', '.join(self._fields)}", key=self._key)
 
+    def _all_hold(self, parts: list[ast.expr], values: list[Any], ops: list[ast.cmpop]) -> bool:
+        for n, op in enumerate(ops):
+            held = _holds(op, values[n], values[n + 1])
+            if held is None:
+                raise self._refused(parts[n], parts[n + 1], values[n], values[n + 1])
+            if not held:
+                return False
+        return True
 
-def _all_hold(values: list[Any], ops: list[ast.cmpop]) -> bool:
-    return all(_holds(op, values[n], values[n + 1]) for n, op in enumerate(ops))
+    def _number(
+        self, apply: Callable[[float, float], float], left: Any, right: Any, node: ast.expr
+    ) -> float | None:
+        """A figure; None where a side is none, or the result is not a number."""
+        for side in (left, right):
+            if isinstance(side, str | list):
+                raise ConfigError(
+                    f"'{_shown(node)}' reckons with {_kind(side)}; expected numbers", key=self._key
+                )
+            if side is None or not math.isfinite(side) or abs(side) > 1e100:
+                return None
+        try:
+            return apply(left, right)
+        except ZeroDivisionError:
+            return None
+
+    def _refused(self, left: ast.expr, right: ast.expr, *values: Any) -> ConfigError:
+        kinds = [_kind(value) for value in values]
+        return ConfigError(
+            f"{_shown(left)} is {kinds[0]} and {_shown(right)} {kinds[1]}: they cannot be compared like that",
+            key=self._key,
+        )
 
 
-def _holds(op: ast.cmpop, left: Any, right: Any) -> bool:
+def _holds(op: ast.cmpop, left: Any, right: Any) -> bool | None:
+    """Whether a comparison holds; None where these two cannot be compared."""
     if isinstance(op, ast.Eq | ast.Is):
         return bool(left == right)
     if isinstance(op, ast.NotEq | ast.IsNot):
         return bool(left != right)
-    if isinstance(op, ast.In | ast.NotIn):
-        inside = _inside(left, right)
-        return inside is isinstance(op, ast.In)
-    both_numbers = isinstance(left, int | float) and isinstance(right, int | float)
+    if isinstance(right, list) and isinstance(op, ast.In | ast.NotIn):
+        return (left in right) is isinstance(op, ast.In)
+    if left is None or right is None:
+        return False
     both_texts = isinstance(left, str) and isinstance(right, str)
-    return (both_numbers or both_texts) and _ORDER[type(op)](left, right)
+    if isinstance(op, ast.In | ast.NotIn):
+        return (left in right) is isinstance(op, ast.In) if both_texts else None
+    both_numbers = isinstance(left, int | float) and isinstance(right, int | float)
+    return _ORDER[type(op)](left, right) if both_numbers or both_texts else None
 
 
-def _inside(left: Any, right: Any) -> bool | None:
-    """Whether a text holds a text, or a list a value; None where the question makes no sense."""
-    if isinstance(right, list):
-        return left in right
-    return left in right if isinstance(left, str) and isinstance(right, str) else None
+def _kind(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true or false"
+    return "a text" if isinstance(value, str) else "a list" if isinstance(value, list) else "a number"
 
 
-def _number(apply: Callable[[float, float], float], left: Any, right: Any) -> float | None:
-    """A figure; None where a side is none, or the result is not a number."""
-    for side in (left, right):
-        if not isinstance(side, int | float) or not math.isfinite(side) or abs(side) > 1e100:
-            return None
-    try:
-        return apply(left, right)
-    except ZeroDivisionError:
-        return None
+def _shown(node: ast.expr) -> str:
+    return ast.unparse(node)[:60]

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dssmsg.graph.ids import id_order
+
 Json = Mapping[str, Any]
 
 _WEIGHTS = {
@@ -26,6 +28,13 @@ _MEANING = {
     "s_view": "how large it is in the image",
 }
 _EQUAL = 1e-9
+_TIES = {
+    "similarity": ("the larger summed similarity", "", 6, 1),
+    "core_distance": ("the nearer thing", " metres", 15, -1),
+}
+"""What settles equal scores, in this order: in words, its unit, how many digits count, whether more (1) or
+less (-1) wins."""
+BY_ID, UNKNOWN = "viewpoint id", "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +57,7 @@ class Comparison:
     """The winner against another candidate: the terms, those that decided most first."""
 
     kind: str
+    best: Json
     other: Json
     margin: float | None
     terms: tuple[TermGap, ...]
@@ -58,10 +68,19 @@ class Comparison:
         apart = [term for term in self.terms if abs(term.gap) > _EQUAL]
         return max(apart, key=lambda term: term.gap) if apart and self.margin else None
 
+    @property
+    def tied(self) -> bool:
+        """Whether both have the same score."""
+        return self.margin is not None and abs(self.margin) <= _EQUAL
+
 
 @dataclass(frozen=True, slots=True)
 class QueryExplained:
-    """A grounded query, its winner and what it was compared with: the runner-up, the next other thing."""
+    """A grounded query, its winner and what it was compared with.
+
+    That is the best of another waypoint (other views of its own are the same place), and the best that took
+    another thing for what is looked for.
+    """
 
     query: str
     frame: int
@@ -84,15 +103,22 @@ def explain_match(match: Json, grounding: Json, *, recorded: bool) -> QueryExpla
     comparisons = []
     if len(candidates) > 1:
         first, *others = candidates
-        comparisons.append(_compare("runner-up", first, others[0], weights))
+        place = _waypoint(first)
+        runner_up = next((one for one in others if _waypoint(one) != place), others[0])
+        comparisons.append(_compare("runner-up", first, runner_up, weights))
         another = next(
             (one for one in others if one["matching"].get(core) != first["matching"].get(core)), None
         )
-        if another is not None and another is not others[0]:
+        if another is not None and another is not runner_up:
             comparisons.append(_compare("best with another thing", first, another, weights))
     return QueryExplained(
         match["query"], match["frame"], recorded, match["target"], candidates, tuple(comparisons)
     )
+
+
+def _waypoint(candidate: Json) -> str:
+    """What the viewpoints of one waypoint have in common: viewpoint-3 of viewpoint-3.2."""
+    return str(candidate["viewpoint"]).partition(".")[0]
 
 
 def _weights(grounding: Json, target: Json) -> dict[str, float]:
@@ -115,7 +141,7 @@ def _compare(kind: str, winner: Json, other: Json, weights: Mapping[str, float])
         if name in own or name in theirs
     ]
     margin = own["score"] - theirs["score"] if "score" in own and "score" in theirs else None
-    return Comparison(kind, other, margin, tuple(sorted(terms, key=lambda term: -abs(term.gap))))
+    return Comparison(kind, winner, other, margin, tuple(sorted(terms, key=lambda term: -abs(term.gap))))
 
 
 def query_explained_json(path: str, told: QueryExplained) -> dict[str, Any]:
@@ -134,6 +160,7 @@ def query_explained_json(path: str, told: QueryExplained) -> dict[str, Any]:
                 "candidate": dict(one.other),
                 "margin": one.margin,
                 "decisive": None if one.decisive is None else one.decisive.name,
+                "tie": tie_of(one) if one.tied else None,
                 "terms": [
                     {
                         "name": term.name,
@@ -169,8 +196,7 @@ def query_explained_text(path: str, told: QueryExplained) -> str:
     for one in told.comparisons:
         lines += ["", f"{one.kind}: {one.other['viewpoint']}, rank {one.other['rank']}: {_told(one.other)}"]
         lines.append(f"  {_why(one)}")
-        if one.margin is not None and abs(one.margin) <= _EQUAL:
-            lines.append(f"  {_tie(told.winner['scores'], one.other['scores'])}")
+        if one.tied:
             continue
         lines += [
             f"  {term.name:<12}{term.winner:7.3f} against {term.other:6.3f}, weight {term.weight:g}:"
@@ -188,10 +214,8 @@ def _told(candidate: Json) -> str:
 def _why(one: Comparison) -> str:
     if one.margin is None:
         return "these candidates carry no common score"
-    if abs(one.margin) <= _EQUAL:
-        return (
-            "equal scores: the larger summed similarity, then the nearer thing, then the smaller id decided"
-        )
+    if one.tied:
+        return f"equal scores; {_tie_told(one)}"
     decisive = one.decisive
     if decisive is None:
         return f"behind by {one.margin:.3f}; none of the recorded terms differs"
@@ -199,13 +223,37 @@ def _why(one: Comparison) -> str:
     return f"behind by {one.margin:.3f}, most of all for {decisive.name} ({decisive.gap:+.3f}): {lacked}"
 
 
-def _tie(own: Mapping[str, float], theirs: Mapping[str, float]) -> str:
-    told = [
-        f"{words} {own[name]:.3f} against {theirs[name]:.3f}"
-        for name, words in (("similarity", "summed similarity"), ("core_distance", "metres to the thing"))
-        if name in own and name in theirs
-    ]
-    return "; ".join(told) or "nothing else is recorded of them"
+def tie_of(one: Comparison) -> str:
+    """What settled equal scores: a score by its name, the id, or what is not recorded."""
+    own, theirs = one.best["scores"], one.other["scores"]
+    for name, (_, _, digits, sign) in _TIES.items():
+        if name in own and name in theirs:
+            ahead = sign * (round(own[name], digits) - round(theirs[name], digits))
+            if ahead:
+                # A grounding of another order has put them by something that it does not tell.
+                return name if ahead > 0 else UNKNOWN
+    try:
+        ordered = id_order(one.best["viewpoint"]) < id_order(one.other["viewpoint"])
+    except ValueError:  # no ids of ours
+        return UNKNOWN
+    return BY_ID if ordered else UNKNOWN
+
+
+def _tie_told(one: Comparison) -> str:
+    settled = tie_of(one)
+    if settled == UNKNOWN:
+        return "what decided is not recorded"
+    if settled == BY_ID:
+        return "nothing else differs either: the smaller viewpoint id decided"
+    own, theirs = _apart(one.best["scores"][settled], one.other["scores"][settled])
+    words, unit, *_ = _TIES[settled]
+    return f"{words} decided: {own} against {theirs}{unit}"
+
+
+def _apart(a: float, b: float) -> tuple[str, str]:
+    """Two numbers with three digits, or so many that they differ."""
+    pairs = ((f"{a:.{digits}f}", f"{b:.{digits}f}") for digits in range(3, 16))
+    return next((pair for pair in pairs if pair[0] != pair[1]), (str(a), str(b)))
 
 
 def _view(path: str, told: QueryExplained) -> str:
