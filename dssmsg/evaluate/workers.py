@@ -12,7 +12,8 @@ from dssmsg.errors import PluginError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-_TASKS_A_PROCESS = 1  # so that none grows
+_TASKS_A_PROCESS = 1
+"""So that none grows. Of more, Python 3.11 does not replace a process that has done them (CPython issue 115634)."""
 
 
 def each(

@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import Any
 
 from dssmsg import checks
-from dssmsg.config import RunConfig, Slot
+from dssmsg.config import RunConfig
 from dssmsg.contexts import ContextFactory
 from dssmsg.errors import ConfigError, InputError
 from dssmsg.events import (
@@ -31,15 +31,15 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.waypoints import WaypointTopology
 from dssmsg.guard import Guard, LastWords, say_on_stderr
 from dssmsg.host import Built, Host
-from dssmsg.interfaces import Command, Observer, SourceInfo, WatchesFloor
+from dssmsg.interfaces import Command, Observer, WatchesFloor
 from dssmsg.lift import Lifter
 from dssmsg.mission.bus import ObserverBus
-from dssmsg.mission.checked_encoder import CheckedEncoder
 from dssmsg.mission.identity import installed_versions, new_run_id
 from dssmsg.mission.keyframes import KeyFrameSelector, key_frame_rule
 from dssmsg.mission.llm_log import LoggedLlm
 from dssmsg.mission.log_events import logged_as_events
 from dssmsg.mission.pipeline import Pipeline, Plugins
+from dssmsg.mission.plugin_set import PluginSet
 from dssmsg.mission.seek import EpisodeLimits, Seeker
 from dssmsg.mission.survey import Surveyor
 from dssmsg.mission.topology import FloorPlan, TopologyKeeper
@@ -47,9 +47,6 @@ from dssmsg.navigation.drive import Driver
 from dssmsg.navigation.grid import GridOptions, RollingGrid
 
 _log = logging.getLogger("dssmsg.mission")
-
-BUILD_ORDER = ("encoder", "llm", "perception", "association", "update", "grounding", "navigation")
-"""After the source: whatever a kind may ask its context for is built before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,17 +76,6 @@ def run_mission(
     return mission.run()
 
 
-def _check_visits(config: RunConfig, info: SourceInfo) -> None:
-    """Each visit needs its tour: a later one begins where the one before ended."""
-    visits = sum(phase != "seek" for phase in config.mission.phases)
-    if info.drivable and 1 < len(info.tours) < visits:
-        raise ConfigError(
-            f"asks for {visits} visits, the source has tours for {len(info.tours)}; "
-            f"set source.visits to {visits} or more",
-            key="mission.phases",
-        )
-
-
 class Mission:
     """One run. Built in its constructor, carried out by `run`."""
 
@@ -117,24 +103,8 @@ class Mission:
             self._run_id,
             timeout_secs=config.timeout_secs,
         )
-        self._built: dict[str, Built] = {}
-        with config.naming_files():
-            self._source = self._build("source").plugin
-            info: SourceInfo = self._source.info
-            self._info = info
-            _check_visits(config, info)
-            self._contexts.source = info
-            for kind in BUILD_ORDER:
-                built = self._build(kind)
-                if kind == "encoder":
-                    self._contexts.encoder = CheckedEncoder(built.plugin, built.registration.id)
-                elif kind == "llm":
-                    self._contexts.llm = self._logged_llm(built)
-            self._check_feature_space()
-            built_observers = [
-                (name, self._build_slot("observer", slot, f"recording.observers.{name}").plugin)
-                for name, slot in config.recording.observers.items()
-            ]
+        self._plugins = PluginSet(config, host, self._contexts, self._logged_llm)
+        self._source, self._info = self._plugins.source, self._plugins.info
         self._guard = Guard(
             config.on_error,
             config.timeout_secs,
@@ -142,14 +112,14 @@ class Mission:
             on_hang=lambda: self._bus.close(),
             last_words=last_words,
         )
-        self._bus = ObserverBus([*built_observers, *observers], self._guard.watching)
+        self._bus = ObserverBus([*self._plugins.observers, *observers], self._guard.watching)
         self._pipeline = self._make_pipeline()
         self._driver = Driver(
             config.mission.linear_speed,
             config.mission.angular_speed,
-            info.rate_hz,
-            linear_acceleration=info.accelerations[0],
-            angular_acceleration=info.accelerations[1],
+            self._info.rate_hz,
+            linear_acceleration=self._info.accelerations[0],
+            angular_acceleration=self._info.accelerations[1],
         )
         self._episodes: list[EpisodeEnded] = []
         self._skipped_stops: list[str] = []
@@ -185,17 +155,7 @@ class Mission:
 
     @property
     def _source_id(self) -> str:
-        return self._built["source"].registration.id
-
-    def _build(self, kind: str) -> Built:
-        built = self._build_slot(kind, getattr(self._config, kind), kind)
-        self._built[kind] = built
-        return built
-
-    def _build_slot(self, kind: str, slot: Slot, key: str) -> Built:
-        built = self._host.build(kind, slot, self._contexts, base_dir=self._config.base_dir, key=key)
-        self._contexts.made[key] = built.registration
-        return built
+        return self._plugins.id("source")
 
     def _logged_llm(self, built: Built) -> LoggedLlm:
         # The bus and the guard come to be after the plug-ins; nobody asks before.
@@ -207,25 +167,15 @@ class Mission:
             lambda: self._guard.watching(built.registration.id, "complete"),
         )
 
-    def _check_feature_space(self) -> None:
-        perceived = self._built["perception"].plugin.feature_space
-        space = self._built["encoder"].plugin.space
-        if perceived is not None and perceived != space:
-            raise ConfigError(
-                f"its features live in the space '{perceived}', the encoder's in '{space}'; "
-                "choose an encoder of the same space",
-                key="perception.use",
-            )
-
     def _make_pipeline(self) -> Pipeline:
-        built = self._built
+        built = self._plugins
         plugins = Plugins(
             perception=built["perception"].plugin,
             association=built["association"].plugin,
             update=built["update"].plugin,
-            perception_name=built["perception"].registration.id,
-            association_name=built["association"].registration.id,
-            update_name=built["update"].registration.id,
+            perception_name=built.id("perception"),
+            association_name=built.id("association"),
+            update_name=built.id("update"),
             perception_needs_truth=built["perception"].registration.needs_truth,
         )
         return Pipeline(
@@ -255,7 +205,7 @@ class Mission:
             },
             versions=installed_versions(),
             parent=self._info.facts.get("parent"),
-            feature_space=self._built["perception"].plugin.feature_space,
+            feature_space=self._plugins["perception"].plugin.feature_space,
         )
 
     # Phases
@@ -335,13 +285,13 @@ class Mission:
         self._skipped_stops += surveyor.skipped
 
     def _seeker(self) -> Seeker:
-        built, mission = self._built, self._config.mission
+        built, mission = self._plugins, self._config.mission
         assert self._contexts.llm is not None  # built before any phase
         return Seeker(
             llm=self._contexts.llm,
             grounding=built["grounding"].plugin,
             navigation=built["navigation"].plugin,
-            names={kind: built[kind].registration.id for kind in ("llm", "grounding", "navigation")},
+            names={kind: built.id(kind) for kind in ("llm", "grounding", "navigation")},
             graph=self.graph,
             pipeline=self._pipeline,
             guard=self._guard,
@@ -415,9 +365,9 @@ class Mission:
             self._distance += float(math.hypot(*step))
         self._frame = frame
         self._collisions = self._count_collisions()
-        navigation = self._built["navigation"].plugin
+        navigation = self._plugins["navigation"].plugin
         if isinstance(navigation, WatchesFloor) and "seek" in self._config.mission.phases:
-            name = self._built["navigation"].registration.id
+            name = self._plugins.id("navigation")
             with self._pipeline.stage("navigation"):
                 self._guard.call(name, "watch", navigation.watch, frame.without_truth(), default=None)
         self._pipeline.process(frame, command, self._collisions)
