@@ -13,7 +13,7 @@ from dssmsg.errors import PluginError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 _TASKS_A_PROCESS = 1
-"""So that none grows. Of more, Python 3.11 does not replace a process that has done them (CPython issue 115634)."""
+"""So that none grows. After more than one, Python 3.11 may not replace the process (CPython issue 115634)."""
 
 
 def each(

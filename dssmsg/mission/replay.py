@@ -13,8 +13,10 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
@@ -90,6 +92,7 @@ class Replay(Mission):
         if not recording.readable_frame_indices:
             raise InputError("holds no frame to replay", file=recording.path)
         self._parent = recording
+        self._parent_hash = _in_background(partial(file_hash, recording.path))  # while the plug-ins are built
         self._ahead = ahead
         lifter = None if ahead is None else AheadLifter(ahead)
         super().__init__(config, host, observers, last_words, lifter)
@@ -112,7 +115,7 @@ class Replay(Mission):
         return {
             "parent": str(self._parent.facts["run_id"]),
             "parent_file": path.name,
-            "parent_sha256": file_hash(path),
+            "parent_sha256": self._parent_hash.result(),
         }
 
     def _start_event(self) -> RunStarted:
@@ -257,6 +260,14 @@ def _navigation_changed(row: Mapping[str, Any]) -> NavigationChanged:
     return NavigationChanged(
         row["frame"], row["sim_time"], row["state"], row["detail"], tuple(row["path"]), (float(x), float(y))
     )
+
+
+def _in_background(work: Callable[[], str]) -> Future[str]:
+    """What a piece of work comes to, begun now in a thread of its own."""
+    pool = ThreadPoolExecutor(1, "dssmsg-hash")
+    future = pool.submit(work)
+    pool.shutdown(wait=False)
+    return future
 
 
 def file_hash(path: Path) -> str:
