@@ -79,3 +79,23 @@ def test_nothing_that_matches_is_said():
     assert query_text({**answer, "candidates": [row]}, 5).splitlines()[1:] == [
         "   viewpoint      waypoint    score", "1  viewpoint-1.1  waypoint-1  1.000", "   r",
     ]  # fmt: skip
+
+
+def test_a_reader_is_told_each_waypoint_once():
+    def row(rank, viewpoint, waypoint):
+        return {
+            "rank": rank, "viewpoint": viewpoint, "waypoint": waypoint, "scores": {"score": 1.0 / rank},
+            "matching": {}, "reason": f"reason {rank}",
+        }  # fmt: skip
+
+    answer = {
+        "query": "a", "target": {"kind": "explicit", "core": 0, "edges": [],
+                                 "nodes": [{"label": "bed", "attributes": []}]},
+        "candidates": [row(1, "viewpoint-1.1", "waypoint-1"), row(2, "viewpoint-1.2", "waypoint-1"),
+                       row(3, "viewpoint-2.1", "waypoint-2"), row(4, "viewpoint-3.1", "waypoint-3")],
+    }  # fmt: skip
+    lines = query_text(answer, 2).splitlines()
+    assert [line.split()[:2] for line in lines if line[:1].isdigit()] == [
+        ["1", "viewpoint-1.1"], ["3", "viewpoint-2.1"],
+    ]  # fmt: skip
+    assert lines[-1] == "... and 1 more waypoints; --json tells every viewpoint"

@@ -28,7 +28,9 @@ def register(app: typer.Typer) -> None:
             str | None,
             typer.Option("--at", metavar="TIME", help="frame=120, time=24.5 or update=300; else the end."),
         ] = None,
-        top: Annotated[int, typer.Option(min=1, max=1000, help="Candidates to print.")] = 5,
+        top: Annotated[
+            int, typer.Option(min=1, max=1000, help="Waypoints to print, each by its best viewpoint.")
+        ] = 5,
         config: ConfigOption = None,
         sets: Annotated[
             list[str] | None,

@@ -52,10 +52,10 @@ def dynamics_layout(eye: Eye | None) -> Layout:
     return rrb.Vertical(
         rrb.Horizontal(
             views.world_view(eye),
-            rrb.Vertical(views.camera_view(), views.change_log_view()),
+            rrb.Vertical(rrb.Horizontal(views.camera_view(), views.verdicts_view()), views.change_log_view()),
             column_shares=[3, 2],
         ),
-        views.window_views(),
+        views.window_views(pictures=1.6),
     )
 
 
@@ -94,6 +94,10 @@ def navigation_layout(eye: Eye | None) -> Layout:
         row_shares=[3, 2],
     )
 
+
+_FROM = np.array([-0.35, -0.6, 0.72])
+"""Where the eye stands, seen from what it looks at, in distances."""
+_NEARER = 0.12
 
 LAYOUTS: dict[str, Callable[[Eye | None], Layout]] = {
     "review": review_layout,
@@ -145,7 +149,9 @@ def eye_over(spots: Sequence[Any], margin: float = 0.0) -> Eye | None:
     if not len(spots):
         return None
     low, high = np.min(spots, axis=0), np.max(spots, axis=0)
-    return _eye((low + high) / 2, max(3.0, 0.85 * float(np.linalg.norm(high - low)) + margin))
+    distance = max(3.0, 0.85 * float(np.linalg.norm(high - low)) + margin)
+    # What is near looks larger: the middle of the view lies on this side of the map's own.
+    return _eye((low + high) / 2 + _NEARER * distance * _FROM * (1, 1, 0), distance)
 
 
 def _diagonal(graph: GraphView, node: str) -> float:
@@ -155,7 +161,7 @@ def _diagonal(graph: GraphView, node: str) -> float:
 
 
 def _eye(target: FloatArray, distance: float) -> Eye:
-    position = target + distance * np.array([-0.35, -0.6, 0.72])
+    position = target + distance * _FROM
     return Eye(_triple(position), _triple(target))
 
 

@@ -12,7 +12,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from dssmsg.frame import FloatArray
-from dssmsg.graph.nodes import BELIEVED, NEAR, PATH, SEES, Edge, ObjectNode
+from dssmsg.graph.nodes import BELIEVED, NEAR, PATH, SEES, STATIC, Edge, ObjectNode
 from dssmsg.graph.view import GraphView
 from dssmsg.recording import palette
 
@@ -49,8 +49,10 @@ def objects_look(graph: GraphView) -> rr.Boxes3D:
 
 
 def labels_look(graph: GraphView) -> rr.Points3D:
-    """A label above every believed object, as long as there are few enough to be read."""
+    """A label above every believed object; where those are too many to be read, above what changed."""
     nodes = [node for node in graph.objects.values() if node.status == BELIEVED]
+    if len(nodes) > LABELS_UP_TO:
+        nodes = [node for node in nodes if node.state != STATIC]
     centers, half_sizes = _boxes(nodes)
     tops = centers + half_sizes * np.array([0.0, 0.0, 1.0], dtype=np.float32)
     return rr.Points3D(
@@ -113,7 +115,7 @@ def edges_looks(graph: GraphView) -> dict[str, rr.LineStrips3D]:
         kind = "blocked" if edge.attributes.get("blocked") else edge.kind
         segments[kind].append((ends[0], ends[1]))
         names[kind].append(f"{edge.source} {edge.attributes.get('relation', edge.kind)} {edge.target}")
-    widths = {PATH: 3.5, "blocked": 3.5, NEAR: 1.2, SEES: 0.3}
+    widths = {PATH: 2.5, "blocked": 3.5, NEAR: 1.2, SEES: 0.3}
     return {
         kind: rr.LineStrips3D(
             np.array(strips, dtype=np.float32).reshape(-1, 2, 3)
@@ -194,7 +196,7 @@ def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdge
 
 
 class _FloorPlan:
-    """Where nodes stand in the graph views, and how they look: in all views the same."""
+    """Where nodes stand in the graph views, and how they look: in all views the same, if all are labelled."""
 
     def __init__(self, graph: GraphView, ids: Sequence[str]) -> None:
         by_class = {number: colour for number, _, colour in palette.OBJECT_CLASSES.values()}
@@ -212,23 +214,28 @@ class _FloorPlan:
                 palette.WAYPOINT_COLOUR if thing is None else by_class[palette.object_class(thing)]
             )
         self._labelled = len(ids) <= LABELS_UP_TO
-        lengths = [len(label) for label in self._labels]
-        self._positions = spread_labels(positions, lengths) if self._labelled else positions
+        self._positions = self._spread(positions, range(len(ids))) if self._labelled else positions
 
     def look(
         self, ids: Sequence[str], pairs: Sequence[tuple[str, str]]
     ) -> list[rr.GraphNodes | rr.GraphEdges]:
-        """Some of the nodes, and edges between them."""
+        """Some of the nodes, and edges between them; labelled where there are few enough."""
         rows = [self._rows[node_id] for node_id in ids]
+        positions = self._positions[rows]
+        if not self._labelled and len(ids) <= LABELS_UP_TO:
+            positions = self._spread(positions, rows)
         nodes = rr.GraphNodes(
             ids,
-            positions=self._positions[rows],
+            positions=positions,
             labels=[self._labels[row] for row in rows],
             colors=[self._colours[row] for row in rows],
-            show_labels=self._labelled,
+            show_labels=len(ids) <= LABELS_UP_TO,
         )
         ends = np.array(pairs, dtype=np.str_).reshape(-1, 2)  # as an array: pair by pair is slow
         return [nodes, rr.GraphEdges(ends, graph_type="undirected")]
+
+    def _spread(self, positions: _Points, rows: Sequence[int]) -> _Points:
+        return spread_labels(positions, [len(self._labels[row]) for row in rows])
 
 
 def spread_labels(positions: _Points, lengths: Sequence[int]) -> _Points:

@@ -22,7 +22,7 @@ OBJECT_CLASSES: dict[str, tuple[int, str, Colour]] = {
 EDGE_COLOURS: dict[str, tuple[int, ...]] = {
     PATH: (90, 220, 160),
     SEES: (58, 55, 44),  # there are many: just above the background; `SEEN_NOW_COLOUR` for those that matter
-    NEAR: (110, 150, 240),
+    NEAR: (160, 160, 172),  # not blue: lines between boxes, most of which are
     "blocked": (240, 70, 70),
 }
 SEEN_NOW_COLOUR: Colour = (235, 200, 90)

@@ -23,6 +23,9 @@ _ALL_SO_FAR = rrb.VisibleTimeRanges(
 )
 """The trail is logged a step at a time; everything up to the cursor is drawn."""
 
+_PLAN_WIDTH = 7.0
+"""Points: the plan runs along path edges, just below them, and is seen on both sides of those."""
+
 
 @dataclass(frozen=True)
 class Eye:
@@ -48,6 +51,7 @@ def world_view(eye: Eye | None = None) -> rrb.Spatial3DView:
         line_grid=rrb.LineGrid3D(visible=True, spacing=1.0, color=(70, 75, 90, 90)),
         overrides={
             schema.TRAIL: [rr.LineStrips3D.from_fields(), _ALL_SO_FAR],
+            schema.NAV_PATH: rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_PLAN_WIDTH)),
         },
         eye_controls=None
         if eye is None
@@ -139,13 +143,25 @@ def match_views() -> rrb.Tabs:
     )
 
 
-def window_views() -> rrb.Horizontal:
-    """The window of the viewpoint at the cursor, and two pictures of the latest verdict."""
+def verdicts_view() -> rrb.TextLogView:
+    """The verdicts of the windows, a line an evaluation that judged something."""
+    return rrb.TextLogView(
+        origin=f"{schema.LOG}/windows",
+        name="Verdicts",
+        columns=rrb.archetypes.TextLogColumns(text_log_columns=["Body"]),
+    )
+
+
+def window_views(pictures: float = 1.0) -> rrb.Horizontal:
+    """The window of the viewpoint at the cursor, and two pictures of the latest verdict.
+
+    `pictures` is how wide each picture is where the text is 3.
+    """
     return rrb.Horizontal(
         rrb.TextDocumentView(origin=schema.WINDOW_TEXT, name="Window", contents=[schema.WINDOW_TEXT]),
         rrb.Spatial2DView(origin=schema.WINDOW_BEFORE, name="Before the latest verdict"),
         rrb.Spatial2DView(origin=schema.WINDOW_NOW, name="At the latest verdict"),
-        column_shares=[3, 1, 1],
+        column_shares=[3, pictures, pictures],
         name="Windows",
     )
 

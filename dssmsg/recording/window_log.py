@@ -80,7 +80,10 @@ class WindowLog:
 
     def _table(self, event: events.WindowEvaluated, memory: _Memory, graph: GraphView) -> str:
         frames = [frame for frame, _ in memory.columns]
-        ids = sorted({i for _, column in memory.columns for i in column}, key=id_order)
+        ids = sorted(
+            {i for _, column in memory.columns for i in column},
+            key=lambda i: (self._rank(i, event, memory), id_order(i)),
+        )
         lines = [f"## {event.viewpoint_id}, frame {event.frame}", ""]
         for object_id, verdict in event.verdicts.items():
             lines.append(
@@ -92,6 +95,13 @@ class WindowLog:
             cells = [_WORDS.get(column.get(object_id, ""), "") for _, column in memory.columns]
             lines.append(f"| {self._named(object_id, graph)} | " + " | ".join(cells) + " |")
         return "\n".join(lines) + "\n"
+
+    def _rank(self, object_id: str, event: events.WindowEvaluated, memory: _Memory) -> int:
+        """What matters stands above: judged, then missed, then seen; last what could not have been seen."""
+        if object_id in event.verdicts:
+            return 0
+        found = {column.get(object_id) for _, column in memory.columns}
+        return 1 if MISSED in found else 2 if found & {SEEN, PRESENT} else 3
 
     def _named(self, object_id: str, graph: GraphView) -> str:
         node = graph.objects.get(object_id)

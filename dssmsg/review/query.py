@@ -41,12 +41,18 @@ def query_json(
 
 
 def query_text(answer: Mapping[str, Any], top: int) -> str:
-    """How the sentence was read, and the first `top` candidates, each with its scores and reasons."""
+    """How the sentence was read, and the first `top` waypoints, each by its best viewpoint.
+
+    Views of one waypoint are one place to go to, as in Table IV; ranks are those among all viewpoints.
+    """
     target = answer["target"]
     nodes = [" ".join((*node["attributes"], node["label"])) for node in target["nodes"]]
     lines = [f"{answer['query']}: {target['kind']}, looking for {nodes[target['core']]}"]
     lines += [f"  {nodes[e['source']]} {e['relation']} {nodes[e['target']]}" for e in target["edges"]]
-    shown = answer["candidates"][:top]
+    places: dict[str, Mapping[str, Any]] = {}
+    for one in answer["candidates"]:
+        places.setdefault(one["waypoint"], one)
+    shown = list(places.values())[:top]
     if not shown:
         return "\n".join([*lines, "nothing in the map matches"])
     terms = [term for term in _TERMS if any(term in one["scores"] for one in shown)]
@@ -59,6 +65,6 @@ def query_text(answer: Mapping[str, Any], top: int) -> str:
         lines.append("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
         if row:
             lines.append(f"{'':{widths[0]}}  {shown[row - 1]['reason']}")
-    if len(answer["candidates"]) > top:
-        lines.append(f"... and {len(answer['candidates']) - top} more")
+    if len(places) > top:
+        lines.append(f"... and {len(places) - top} more waypoints; --json tells every viewpoint")
     return "\n".join(lines)
