@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+import rerun as rr
 from recorded_run import SyntheticRun, record
 from rerun.chunk import RrdReader
 
 from dssmsg import events as ev
 from dssmsg.cli.view import Layout
 from dssmsg.errors import ConfigError
-from dssmsg.recording import blueprint, focus, match_log, schema
+from dssmsg.graph.nodes import PATH
+from dssmsg.graph.verdicts import Evidence
+from dssmsg.recording import blueprint, focus, looks, match_log, schema, views, window_log
 from dssmsg.recording.reader import Recording
+from dssmsg.recording.sheets import SheetBook
 
 TARGET = {
     "kind": "implicit",
@@ -81,6 +85,7 @@ def origins(container: Any) -> set[str]:
 def test_what_a_layout_shows_is_in_a_recording(name: str, path: Path) -> None:
     filled = {chunk.entity_path for chunk in RrdReader(path).stream()}
     elsewhere = {schema.WINDOW_TEXT, schema.WINDOW_BEFORE, schema.WINDOW_NOW, "/llm/dynamic_attribute"}
+    elsewhere.add(f"{schema.LOG}/windows")
     for origin in origins(blueprint.LAYOUTS[name](None)) - elsewhere:
         assert any(entity == origin or entity.startswith(f"{origin}/") for entity in filled), origin
 
@@ -116,7 +121,7 @@ def test_what_the_best_candidate_matched_is_boxed_and_named(run: Asked) -> None:
 def test_the_page_of_candidates() -> None:
     page = match_log.match_page(ev.Matched("a sink", 0, 0.0, TARGET, CANDIDATES))
     assert "| 1 | viewpoint-1.1 | 4.25 | 1 | 1, 2 |" in page
-    assert "**Why the first:** sink 1.00" in page
+    assert page.index("**Why the first:** sink 1.00") < page.index("| 1 |")  # seen without scrolling
     assert "Nothing in the map matches" in match_log.match_page(ev.Matched("x", 0, 0.0, TARGET, ()))
     many = ev.Matched("x", 0, 0.0, TARGET, CANDIDATES * 20)
     assert "and 28 more" in match_log.match_page(many)
@@ -143,3 +148,30 @@ def test_the_eye_stands_back_from_a_large_object(run: Asked) -> None:
     assert near is not None
     distance = sum((a - b) ** 2 for a, b in zip(near.position, near.target, strict=True)) ** 0.5
     assert 2.0 < distance < 3.0
+
+
+def test_a_window_tells_the_judged_first_and_the_hidden_last(run: Asked) -> None:
+    stream = rr.RecordingStream("dssmsg-test", recording_id="window")
+    book = SheetBook(stream)
+    log = window_log.WindowLog(book)
+    verdicts = {"object-1": "out_of_view", "object-2": "seen", "object-3": "missed", "object-4": "missed"}
+    evidence = tuple(Evidence(7, name, verdict) for name, verdict in verdicts.items())
+    event = ev.WindowEvaluated("viewpoint-1.1", 7, 1.4, (7,), (), evidence, {"object-4": "disappeared"}, 3)
+    memory = window_log._Memory()
+    memory.columns.append((7, verdicts))
+    lines = log._table(event, memory, run.live).splitlines()
+    told = [name for line in lines if line.startswith("| ") for name in verdicts if name in line]
+    assert told == ["object-4", "object-3", "object-2", "object-1"]
+
+
+def test_the_plan_is_wider_than_the_path_edges_above_it(run: Asked) -> None:
+    widest = looks.edges_looks(run.live)[PATH].radii
+    assert widest is not None
+    assert -min(widest.as_arrow_array().to_pylist()) < views._PLAN_WIDTH
+
+
+def test_lines_without_a_colour_of_their_own_suit_a_bright_page_too(path: Path) -> None:
+    chunks = RrdReader(path).stream().filter(content=f"{schema.LOG}/run")
+    columns = {name for chunk in chunks for name in chunk.to_record_batch().schema.names}
+    assert any("text" in name for name in columns)
+    assert not any("color" in name for name in columns)

@@ -22,7 +22,7 @@ from dssmsg.graph import changes as ch
 from dssmsg.graph.changes import Cause, Score
 from dssmsg.graph.codec import graph_from_json, graph_to_json
 from dssmsg.graph.compare import same
-from dssmsg.graph.nodes import NEAR, PATH, SEES
+from dssmsg.graph.nodes import BELIEVED, NEAR, PATH, SEES, STATIC
 from dssmsg.recording import blueprint, describe, looks, palette, schema
 from dssmsg.recording.mission_card import MissionCard
 from dssmsg.recording.reader import Recording
@@ -90,6 +90,22 @@ def test_boxes_are_those_of_the_graph(run: SyntheticRun) -> None:
     classes = look.class_ids.as_arrow_array().to_pylist()
     for node, number in zip(nodes, classes, strict=True):
         assert (number == palette.TENTATIVE_CLASS) == (node.status == "tentative")
+
+
+def test_where_labels_are_too_many_those_of_changes_and_of_waypoints_stay(
+    run: SyntheticRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    believed = [node for node in run.live.objects.values() if node.status == BELIEVED]
+    changed = [node.label for node in believed if node.state != STATIC]
+    few = max(len(run.live.waypoints), len(changed))
+    assert few < len(believed)
+    monkeypatch.setattr(looks, "LABELS_UP_TO", few)
+    look = looks.labels_look(run.live)
+    assert look.labels is not None
+    assert look.labels.as_arrow_array().to_pylist() == changed
+    drawn = looks.graph_looks(run.live)
+    assert drawn["map"][0].show_labels.as_arrow_array().to_pylist() == [False]
+    assert drawn[PATH][0].show_labels.as_arrow_array().to_pylist() == [True]
 
 
 @given(

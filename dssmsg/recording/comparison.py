@@ -210,7 +210,8 @@ def comparison_layout(eye: Eye | None = None) -> rrb.Blueprint:
         return rrb.Spatial3DView(
             origin=f"/{side}{schema.WORLD}",
             name=f"{side.upper()}: scene",
-            contents=["+ $origin/**", f"- /{side}{schema.CAMERA}/**"],
+            # Not the objects' names: in half a window they cover each other and the marks.
+            contents=["+ $origin/**", f"- /{side}{schema.CAMERA}/**", f"- /{side}{schema.LABELS}"],
             background=rrb.Background(color=_BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
             line_grid=rrb.LineGrid3D(visible=True, spacing=1.0, color=(70, 75, 90, 90)),
             eye_controls=None
@@ -255,7 +256,7 @@ def comparison_layout(eye: Eye | None = None) -> rrb.Blueprint:
                 ),
                 column_shares=[3, 2],
             ),
-            row_shares=[4, 1],
+            row_shares=[3, 1],
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 
 from dssmsg import events
+from dssmsg.graph.nodes import STATIC
 from dssmsg.graph.view import GraphView
 from dssmsg.recording import palette, schema
 from dssmsg.recording.sheets import SheetBook, Stamp, path_part
@@ -17,6 +18,7 @@ _LONGEST = 40
 """Characters of a sentence that go into its path."""
 _LISTED = 12
 """Candidates on the page."""
+_THING_COLOUR = palette.OBJECT_CLASSES[STATIC][2]  # not white: a page in the browser may be bright
 
 
 class MatchLog:
@@ -75,10 +77,7 @@ def target_look(target: Mapping[str, Any]) -> tuple[rr.GraphNodes, rr.GraphEdges
         [*ids, *joints],
         labels=[*names, *(str(relation["relation"]) for relation in relations)],
         colors=[
-            *(
-                palette.GOAL_COLOUR if number == core else palette.ROBOT_COLOUR
-                for number in range(len(things))
-            ),
+            *(palette.GOAL_COLOUR if number == core else _THING_COLOUR for number in range(len(things))),
             *(palette.EDGE_COLOURS["near"] for _ in relations),
         ],
         radii=[
@@ -126,7 +125,9 @@ def match_page(event: events.Matched) -> str:
         return f"## “{event.query}”\n\nNothing in the map matches.\n"
     shown = event.candidates[:_LISTED]
     names = [name for name in dict.fromkeys(n for one in shown for n in one.scores) if name != "score"]
-    lines = [f"## “{event.query}”", "", "| | viewpoint | score | " + " | ".join(names) + " | matched |"]
+    # The reason above the table: that is long, and the first lines are what is seen.
+    lines = [f"## “{event.query}”", "", f"**Why the first:** {event.candidates[0].reason}", ""]
+    lines += ["| | viewpoint | score | " + " | ".join(names) + " | matched |"]
     lines.append("|---" * (len(names) + 4) + "|")
     for one in shown:
         figures = [f"{one.scores[name]:.3g}" if name in one.scores else "" for name in ("score", *names)]
@@ -134,4 +135,4 @@ def match_page(event: events.Matched) -> str:
         lines.append(f"| {one.rank} | {one.viewpoint_id} | {' | '.join(figures)} | {matched} |")
     if len(event.candidates) > len(shown):
         lines += ["", f"and {len(event.candidates) - len(shown)} more"]
-    return "\n".join([*lines, "", f"**Why the first:** {event.candidates[0].reason}"]) + "\n"
+    return "\n".join(lines) + "\n"

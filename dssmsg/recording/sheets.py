@@ -158,9 +158,13 @@ class SheetBook:
             sheet = self._looks[path] = LookSheet(path, archetype)
         sheet.add(stamp, **fields)
 
-    def text(self, path: str, stamp: Stamp, text: str, level: str, colour: Colour = (245, 245, 245)) -> None:
-        """Append a line to a text log."""
-        self.look(path, rr.TextLog, stamp, text=text, level=level, color=colour)
+    def text(self, path: str, stamp: Stamp, text: str, level: str, colour: Colour | None = None) -> None:
+        """Append a line to a text log; without a colour in the viewer's own, which suits its theme.
+
+        The lines of one log all have a colour, or none has.
+        """
+        fields = {} if colour is None else {"color": colour}
+        self.look(path, rr.TextLog, stamp, text=text, level=level, **fields)
 
     def plot(self, name: str, stamp: Stamp, value: float) -> None:
         """Append a point to a plot, named by its path below `/plots`."""
