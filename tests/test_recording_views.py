@@ -197,6 +197,31 @@ def test_the_mission_page_says_goal_state_and_outcome() -> None:
     assert len(page) < 1000
 
 
+class Seeking(SyntheticRun):
+    """A run whose last phase begins with the frame after its last one, and asks for something before that."""
+
+    def events(self):  # type: ignore[no-untyped-def]
+        for event in super().events():
+            if isinstance(event, ev.RunFinished):
+                yield ev.PhaseStarted("seek", 1, event.frame + 1, event.sim_time)
+                yield ev.Matched("a place to sleep", event.frame, event.sim_time, {"nodes": []}, ())
+            yield event
+
+
+def test_the_mission_page_keeps_the_goal_of_a_phase_that_is_about_to_begin(tmp_path: Path) -> None:
+    file = tmp_path / "seeking.rrd"
+    record(Seeking(6, objects=3), file)
+    batches = RrdReader(file).stream().filter(content=schema.MISSION).to_chunks()
+    told = []
+    for chunk in batches:
+        table = chunk.to_record_batch().to_pydict()
+        pages = next(values for name, values in table.items() if name.endswith("TextDocument:text"))
+        told += zip(table["frame"], pages, strict=True)
+    frame, page = sorted(told, key=lambda one: one[0])[-1]  # of one frame the later row counts
+    assert frame == 6
+    assert "a place to sleep" in page[0]
+
+
 def test_the_same_failures_are_told_together() -> None:
     def error(frame: int, message: str) -> dict[str, Any]:
         return {"frame": frame, "plugin": "perception/x", "message": message, "skipped": "detect"}

@@ -191,8 +191,8 @@ def _catalog_server(recording: Path) -> Any:
 
 
 def _page(web_port: int, address: str) -> str:
-    """The page's address, with what it is to open."""
-    return f"http://{LOOPBACK}:{web_port}/?url={urllib.parse.quote(address, safe='')}"
+    """The page's address, with what it is to open; dark as the window is, which colours are chosen for."""
+    return f"http://{LOOPBACK}:{web_port}/?url={urllib.parse.quote(address, safe='')}&theme=dark"
 
 
 def _launch(arguments: Sequence[str]) -> subprocess.Popen[bytes]:

@@ -37,6 +37,8 @@ _CHANGE_GROUPS = {
     "edge_added": "edges added",
     "edge_removed": "edges removed",
 }
+_ABOVE_EDGES = np.array([0.0, 0.0, 0.1], dtype=np.float32)
+"""Metres: the plan is drawn over the path edges that it follows."""
 
 
 class RecordingWriter:
@@ -192,7 +194,7 @@ class RecordingWriter:
         self._book.look(schema.PHASE_STATE, rr.StateChange, stamp, state=event.phase)
         self._book.text(f"{schema.LOG}/run", stamp, f"phase {event.phase}, visit {event.visit}", "INFO")
         self._card.phase_started(event)
-        self._show_mission(stamp)
+        self._show_mission()
 
     def _frame_captured(self, event: events.FrameCaptured) -> None:
         stamp = self._stamp(event.frame.index, event.frame.sim_time)
@@ -272,7 +274,7 @@ class RecordingWriter:
         self._book.text(f"{schema.LOG}/match", stamp, text, "INFO")
         self._matches.add(event, stamp, self._graph)
         self._card.matched(event)
-        self._show_mission(stamp)
+        self._show_mission()
 
     def _llm_called(self, event: events.LlmCalled) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
@@ -298,7 +300,7 @@ class RecordingWriter:
             schema.NAV_PATH,
             stamp,
             rr.LineStrips3D(
-                [np.array(spots, dtype=np.float32)] if len(spots) > 1 else [],
+                [np.array(spots, dtype=np.float32) + _ABOVE_EDGES] if len(spots) > 1 else [],
                 colors=palette.NAV_PATH_COLOUR,
                 radii=rr.Radius.ui_points(2.5),
             ),
@@ -306,7 +308,7 @@ class RecordingWriter:
         if event.detail:
             self._book.text(f"{schema.LOG}/nav", stamp, f"{event.state}: {event.detail}", "INFO")
         self._card.navigation_changed(event)
-        self._show_mission(stamp)
+        self._show_mission()
 
     def _advised(self, event: events.Advised) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
@@ -320,7 +322,7 @@ class RecordingWriter:
             f"{schema.LOG}/run", stamp, f"{text}, {event.reason}" if event.reason else text, "INFO"
         )
         self._card.episode_ended(event)
-        self._show_mission(stamp)
+        self._show_mission()
 
     def _error_occurred(self, event: events.ErrorOccurred) -> None:
         stamp = self._stamp(event.frame, event.sim_time)
@@ -370,6 +372,8 @@ class RecordingWriter:
             self._graph, stamp.frame, stamp.sim_time, viewpoint=self._viewpoint
         )
 
-    def _show_mission(self, stamp: Stamp) -> None:
+    def _show_mission(self) -> None:
+        """The card as of the last frame told of: a phase stands at its first frame, which is yet to come."""
         text = self._card.text()
+        stamp = Stamp(*self._last)
         self._book.look(schema.MISSION, rr.TextDocument, stamp, text=text, media_type="text/markdown")

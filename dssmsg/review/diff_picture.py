@@ -34,5 +34,5 @@ def _marks(difference: Difference) -> dict[str, list[Mark]]:
     for pair in objects.differing:
         for side, own, other in (("a", pair.a, pair.b), ("b", pair.b, pair.a)):
             words = ", ".join(f"{getattr(own, name)}, not {getattr(other, name)}" for name in pair.differs)
-            marks[side].append((own.id, words, OTHERWISE))
+            marks[side].append((own.id, f"{own.label}: {words}", OTHERWISE))
     return marks
