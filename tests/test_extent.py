@@ -9,7 +9,7 @@ from test_association import World, rules
 
 from dssmsg.frame import Detection
 from dssmsg.graph.changes import ObjectReplaced
-from dssmsg.graph.extent import Extents, outgrows, shrinks
+from dssmsg.graph.extent import Extents, _Votes, outgrows, shrinks
 from dssmsg.lift import Lifter
 
 DESK = Thing("desk", (1.4, -0.6, 0.0), (2.0, 0.6, 0.5))
@@ -155,3 +155,20 @@ def test_a_point_stays_if_enough_frames_had_it_inside(had, share):
     off = had.count(False) >= 2 and sum(had) < share * len(had) and len(had) >= 2
     assert belongs[len(desk) :].all()
     assert shrinks(both, belongs) == off
+
+
+frames = st.lists(
+    st.tuples(st.sets(st.integers(0, 12)), st.booleans(), st.integers(0, 3)), min_size=1, max_size=6
+)
+
+
+@given(frames)
+@settings(max_examples=80, deadline=None)
+def test_votes_counted_one_by_one_are_those_counted_together(told):
+    votes = [(np.array(sorted(keys), np.int64), inside, station) for keys, inside, station in told]
+    together = _Votes.counted([_Votes.of_frame(*one) for one in votes])
+    one_by_one = _Votes.of_frame(*votes[0])
+    for one in votes[1:]:
+        one_by_one = one_by_one.plus(*one)
+    for name in ("keys", "inside", "outside", "first", "last"):
+        assert getattr(one_by_one, name).tolist() == getattr(together, name).tolist()

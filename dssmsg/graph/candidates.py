@@ -6,6 +6,7 @@ scores themselves are in `scoring`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.spatial import KDTree
 
 from dssmsg.frame import Frame, Observation
 from dssmsg.geometry import Sight, grow_box, points_in_box, sight_of_points
-from dssmsg.graph.evidence import SightRule, View, look_at, telling
+from dssmsg.graph.evidence import SightRule, View, look_at_each, telling
 from dssmsg.graph.nodes import DISAPPEARED, ObjectNode
 from dssmsg.graph.scoring import neighbour_share, neighbour_tolerance, sampled_share, semantic_similarity
 from dssmsg.graph.view import GraphView
@@ -61,10 +62,41 @@ class Candidates:
         self._graph = graph
         self._rule = rule
         self._noise = noise
-        self._view: tuple[Frame, View] | None = None
 
-    def pairs(self, frame: Frame, observation: Observation) -> list[Pair]:
-        """Scores against every object that the observation's box, grown by the tolerance, touches."""
+    def pairs(self, frame: Frame, observations: Sequence[Observation]) -> list[list[Pair]]:
+        """Of each observation, the scores against every object that its box, grown by the tolerance, touches.
+
+        What the frame shows free is not what was seen in its place: such a pair is not allowed.
+        """
+        scored = [self._scores(frame, observation) for observation in observations]
+        if self._rule.paper_exact:
+            return scored
+        asked = {
+            pair.object_id: self._graph.objects[pair.object_id]
+            for pairs in scored
+            for pair in pairs
+            if pair.allowed
+        }
+        clouds = {
+            object_id: node.points[telling(node.points)]
+            for object_id, node in asked.items()
+            if node.observations > 1
+        }
+        sights = look_at_each(list(clouds.values()), View.of(frame), self._noise, _SIGHT) if clouds else []
+        free = {
+            object_id
+            for object_id, sight in zip(clouds, sights, strict=True)
+            if sight.free >= self._rule.max_free_share
+        }
+        return [
+            [
+                replace(pair, allowed=False) if pair.allowed and pair.object_id in free else pair
+                for pair in pairs
+            ]
+            for pairs in scored
+        ]
+
+    def _scores(self, frame: Frame, observation: Observation) -> list[Pair]:
         tolerance = neighbour_tolerance(observation.range_m, self._noise)
         observation_tree: KDTree | None = None
         pairs = []
@@ -92,18 +124,8 @@ class Candidates:
                 overlap = min(s_geo, self._covered(frame, node, observation_tree, tolerance))
             enough = alike or (overlap is not None and overlap >= self._rule.merge_min_overlap)
             allowed = 0.0 < s_geo >= needed and enough
-            if allowed and not self._rule.paper_exact and node.observations > 1:
-                cloud = node.points[telling(node.points)]
-                sight = look_at(cloud, self._seen_in(frame), self._noise, _SIGHT)
-                allowed = sight.free < self._rule.max_free_share
             pairs.append(Pair(object_id, s_geo, s_sem, overlap, allowed, exact))
         return pairs
-
-    def _seen_in(self, frame: Frame) -> View:
-        """The frame made ready to be asked about places; made once a frame."""
-        if self._view is None or self._view[0] is not frame:
-            self._view = (frame, View.of(frame))
-        return self._view[1]
 
     def _share(
         self, observation: Observation, node: ObjectNode, tolerance: float, needed: float

@@ -160,7 +160,7 @@ class DssmAssociation:
         self, frame: Frame, observations: Sequence[Observation], viewpoint_id: str | None
     ) -> Sequence[Change]:
         """Joins if a pass is due, one `ObjectAdded` or `ObjectMerged` an observation, then beliefs."""
-        scored = [self._candidates.pairs(frame, observation) for observation in observations]
+        scored = self._candidates.pairs(frame, observations)
         chosen = self._assign(observations, scored)
         matched = {pair.object_id for pair in chosen if pair is not None}
         self._key_frames += 1
