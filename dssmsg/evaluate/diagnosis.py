@@ -28,7 +28,7 @@ from dssmsg.evaluate.navigation_witness import EpisodeWitness
 from dssmsg.evaluate.workers import each
 from dssmsg.host import Host
 from dssmsg.mission.run import run_mission
-from dssmsg.review.diagnosis import CANNOT_TELL, FAULT, NO_FAULT, diagnose
+from dssmsg.review.diagnosis import CANNOT_TELL, FAULT, NO_FAULT, NOT_BEGUN, diagnose
 from dssmsg.review.episode import ReviewedRecording
 from dssmsg.sim.scenario_views import TourViews
 
@@ -306,7 +306,7 @@ def _metrics(own: Sequence[Explained]) -> dict[str, list[float]]:
         healthy = [one for one in own if one.with_truth == with_truth and one.true == HEALTHY]
         if faulty:
             right = [float(one.said == one.true) for one in faulty]
-            none = [float(one.said in (CANNOT_TELL, NO_FAULT)) for one in faulty]
+            none = [float(one.said in (CANNOT_TELL, NO_FAULT, NOT_BEGUN)) for one in faulty]
             metrics[f"layer_accuracy_{ending}"] = right
             metrics[f"wrong_{ending}"] = [1.0 - a - b for a, b in zip(right, none, strict=True)]
             metrics[f"cannot_tell_{ending}"] = none
