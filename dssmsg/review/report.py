@@ -163,10 +163,10 @@ def _wall(seconds: Mapping[str, float]) -> float:
     return seconds["total"] if "total" in seconds else sum(seconds.values())
 
 
-def chip(outcome: Any) -> Markup:
-    """An outcome as a coloured word."""
+def chip(outcome: Any, reason: Any = "") -> Markup:
+    """An outcome as a coloured word; of a failure its reason, where there is one."""
     kind = {"success": "good", "failure": "bad"}.get(str(outcome), "plain")
-    return tag("span", html.text(outcome, 60), class_=f"chip {kind}")
+    return tag("span", html.text(reason or outcome, 60), class_=f"chip {kind}")
 
 
 def episodes(recording: Recording, explanations: Mapping[int, str]) -> Markup:
