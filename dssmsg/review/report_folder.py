@@ -122,6 +122,6 @@ def _run(path: Path, folder: Path, explain: Explain, *, opened: bool) -> Markup:
             sections = run_sections(recording, summary, explain(recording))
     except DssmsgError as error:
         return tag("p", f"{path.relative_to(folder)}: {error.message}", class_="note")
-    outcomes = " ".join(chip(episode["outcome"], episode.get("reason", "")) for episode in summary["episodes"])
+    outcomes = " ".join(chip(one["outcome"], one.get("reason", "")) for one in summary["episodes"])
     name = f"{path.relative_to(folder)}: {summary['name']}, {summary['scene']}, seed {summary['seed']} "
     return html.folded(html.joined((name, Markup(outcomes))), *sections, open_=opened)
