@@ -6,19 +6,15 @@ done, by the hash of the code, so that a stage that was cut goes on where it sto
 
 from __future__ import annotations
 
-import json
 import shutil
 import statistics
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from homes import figures_of
-from staging import ENVIRONMENT, Row, code_hash
+from staging import Row, code_hash, measured_by
 
-HERE = Path(__file__).resolve().parent
 BASELINES = ("image", "objects")
 METHODS = ("dssm", "dssm_paper", *BASELINES, "objects_core")
 KINDS = ("explicit", "implicit")
@@ -31,15 +27,7 @@ SUCCESS = {"oracle": 0.90, "furniture": 0.70}
 
 def matching(cwd: Path) -> list[Row]:
     """The exact matching: its time, and against enumeration at 7 nodes."""
-    done = subprocess.run(
-        [sys.executable, str(HERE / "matching.py"), "--json"],
-        cwd=cwd,
-        env={**ENVIRONMENT, "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=False,
-    )
-    figures = json.loads(done.stdout)
+    figures = measured_by("matching.py", cwd)
     large, speedup = figures["large_secs"], figures["enumeration_speedup"]
     return [
         Row("20 nodes x 500 viewpoints x 30 objects, one thread", "<= 1 s", f"{large:.2f} s", large <= 1.0),

@@ -9,15 +9,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from staging import ENVIRONMENT, Row, code_hash, dssmsg
+from staging import Row, code_hash, dssmsg, measured_by
 
-HERE = Path(__file__).resolve().parent
 METHODS = "dssm,dssm_paper_exact,conceptgraphs,dovsg"
 SEEDS = "10"
 SCENES = ("rs_int", "ihlen_1_int")
@@ -144,15 +141,7 @@ def noise(cwd: Path) -> list[Row]:
 
 def memory(cwd: Path) -> list[Row]:
     """Windows and update a key frame: 5,000 frames against 100."""
-    done = subprocess.run(
-        [sys.executable, str(HERE / "memory.py"), "--json"],
-        cwd=cwd,
-        env={**ENVIRONMENT, "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=False,
-    )
-    figures = json.loads(done.stdout)
+    figures = measured_by("memory.py", cwd)
     ratio = figures["growth"]
     seen = f"{figures['viewpoints_late']:.0f} viewpoints"
     return [

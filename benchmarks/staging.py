@@ -59,6 +59,20 @@ def run(cwd: Path, *sets: str, seed: int = 0) -> dict:
     return {**summary, "wall": time.monotonic() - start, "peak_mb": usage.ru_maxrss / 1000}
 
 
+def measured_by(script: str, cwd: Path) -> dict:
+    """What a benchmark of this folder prints as JSON, on one thread, whatever it thinks of its figures."""
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / script), "--json"],
+        cwd=cwd,
+        env={**ENVIRONMENT, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    figures: dict = json.loads(done.stdout)
+    return figures
+
+
 def recording_of(summary: dict, cwd: Path) -> Path:
     """Where the recording of a summary lies."""
     return (cwd / summary["recording"]).resolve()
