@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from dssmsg.frame import Detection, Frame, Observation, Truth
+from dssmsg.frame import Detection, Frame, MaskArray, Observation, Truth
 from dssmsg.graph.changes import Change
 from dssmsg.graph.verdicts import Evidence
 
@@ -65,12 +65,17 @@ class TruthSeen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detected:
-    """What perception saw in a key frame, and what could be lifted of it."""
+    """What perception saw in a key frame, and what could be lifted of it.
+
+    `kept`: by the index of each observation's detection, which (V,) of the voxels of its mask are of the
+    thing.
+    """
 
     frame: int
     sim_time: float
     detections: tuple[Detection, ...]
     observations: tuple[Observation, ...]
+    kept: Mapping[int, MaskArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,8 +8,8 @@ dense clusters stay.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,16 +26,20 @@ SPILL_LAYER_M = 0.03
 """How thick the layer is that may be the surface a thing stands on, metres."""
 SPILL_LEAST, SPILL_BODY_SHARE = 8, 0.1
 """So many points above that layer, and this share of it, make what stands there a thing and not a rim."""
+_NOTHING = np.zeros(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, slots=True)
 class Lifted:
     """Observations in the order of their detections; `dropped` counts detections by reason, `reasons` names
-    it for each dropped detection by its index: `background`, `no_depth`, `few_points` or `sparse`."""
+    it for each dropped detection by its index: `background`, `no_depth`, `few_points` or `sparse`. `kept`
+    says, by the index of each observation's detection, which (V,) of the voxels of its mask are of the
+    thing."""
 
     observations: tuple[Observation, ...]
     dropped: Counter[str]
     reasons: dict[int, str]
+    kept: Mapping[int, MaskArray] = field(default_factory=dict)
 
 
 class Lifter:
@@ -76,10 +80,13 @@ class Lifter:
         self.step_ratio = step_ratio
         self.background_labels = background_labels
 
-    def lift(self, frame: Frame, detections: Sequence[Detection]) -> Lifted:
+    def lift(
+        self, frame: Frame, detections: Sequence[Detection], kept: Mapping[int, MaskArray] | None = None
+    ) -> Lifted:
         """Observations of the detections that hold enough points; masks must have the frame's size (H, W).
 
-        Raises ValueError for a mask of another size.
+        `kept` is that of an earlier lift of the same frame, which saves the search for clusters; where it is
+        not of these masks, it is passed over. Raises ValueError for a mask of another size.
         """
         reasons: dict[int, str] = {}
         chosen: list[int] = []
@@ -100,8 +107,11 @@ class Lifter:
                 continue
             chosen.append(index)
             pixels.append(found)
-        observations = self._observe(frame, detections, chosen, pixels, reasons) if chosen else []
-        return Lifted(tuple(observations), Counter(reasons.values()), dict(sorted(reasons.items())))
+        voxels: dict[int, MaskArray] = {}
+        observations = (
+            self._observe(frame, detections, chosen, pixels, reasons, kept, voxels) if chosen else []
+        )
+        return Lifted(tuple(observations), Counter(reasons.values()), dict(sorted(reasons.items())), voxels)
 
     def _observe(
         self,
@@ -110,25 +120,37 @@ class Lifter:
         chosen: list[int],
         pixels: list[NDArray[np.intp]],
         reasons: dict[int, str],
+        known: Mapping[int, MaskArray] | None,
+        voxels: dict[int, MaskArray],
     ) -> list[Observation]:
-        """Voxelise and cluster all detections in one go (few large array operations, not many small)."""
+        """Voxelise and cluster all detections in one go (few large array operations, not many small).
+
+        Fills `voxels` with what is kept of each mask; where that is `known`, it is not searched for.
+        """
         owner = np.repeat(np.arange(len(chosen)), [len(p) for p in pixels])
         pixel = np.concatenate(pixels)
         depth = frame.depth.reshape(-1)[pixel].astype(np.float64)
         points = transform_points(frame.world_from_camera, pixel_rays(frame.camera)[pixel] * depth[:, None])
         colors = frame.rgb.reshape(-1, 3)[pixel]
         points, voxel_colors, owner = voxelise(points, colors, self.voxel, owner)
-        labels = density_clusters(points, self.eps, self.min_neighbours, groups=owner)
         observations = []
         ends = np.searchsorted(owner, np.arange(len(chosen) + 1))
+        if known is None or not _of_these(known, dict(zip(chosen, np.diff(ends), strict=True))):
+            known = None
+            labels = density_clusters(points, self.eps, self.min_neighbours, groups=owner)
         for place, index in enumerate(chosen):
             part = slice(ends[place], ends[place + 1])
-            keep = self._parts(points[part], labels[part])
-            keep = keep[~spilled(points[part][keep])]
+            if known is None:
+                keep = self._parts(points[part], labels[part])
+                keep = keep[~spilled(points[part][keep])]
+            else:
+                keep = np.flatnonzero(known[index]) if index in known else _NOTHING
             if len(keep) < self.min_points:
                 reasons[index] = "sparse"
                 continue
             detection = detections[index]
+            voxels[index] = np.zeros(part.stop - part.start, dtype=np.bool_)
+            voxels[index][keep] = True
             cloud: Float32Array = points[part][keep].astype(np.float32)
             box_min, box_max = box_of(cloud)
             observations.append(
@@ -167,6 +189,11 @@ class Lifter:
             if np.isfinite(gaps).any():
                 kept = np.sort(np.concatenate([kept, part]))
         return kept
+
+
+def _of_these(kept: Mapping[int, MaskArray], voxels: Mapping[int, int]) -> bool:
+    """Whether what was kept can be of masks with so many voxels, both by detection."""
+    return all(voxels.get(index) == len(mask) for index, mask in kept.items())
 
 
 def spilled(points: FloatArray) -> MaskArray:

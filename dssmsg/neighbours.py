@@ -23,8 +23,9 @@ def near_any(
     near: MaskArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points) or not len(cloud):
         return near
-    low, high = cloud.min(axis=0) - tolerance, cloud.max(axis=0) + tolerance
-    asked = ((points >= low) & (points <= high)).all(axis=1)
+    asked = np.ones(len(points), dtype=np.bool_)
+    for column, line in zip(cloud.T, points.T, strict=True):  # quicker one by one than across
+        asked &= (line >= column.min() - tolerance) & (line <= column.max() + tolerance)
     if asked.any():
         distances, _ = quick_tree(cloud).query(points[asked], distance_upper_bound=tolerance)
         near[asked] = np.isfinite(distances)

@@ -52,6 +52,31 @@ def test_with_sensor_noise_the_box_stays_tight():
     assert np.median(overlaps) >= 0.8
 
 
+def test_what_was_kept_once_need_not_be_searched_for_again(monkeypatch):
+    things = [TABLE, Thing("vase", (1.8, 0.1, 0.4), (2.0, 0.3, 0.8))]
+    frame = look(things, pose_at(0, 0, 0, -0.2), camera=FULL, noise=NOISE)
+    detections = detect(frame)
+    first = lift(frame, detections)
+    assert set(first.kept) == {one.detection_index for one in first.observations}
+    with monkeypatch.context() as patch:
+        patch.setattr("dssmsg.lift.density_clusters", None)
+        again = Lifter().lift(frame, detections, first.kept)
+    for one, other in zip(first.observations, again.observations, strict=True):
+        assert np.array_equal(one.points_world, other.points_world)
+        assert np.array_equal(one.colors, other.colors)
+        assert (one.detection_index, one.range_m) == (other.detection_index, other.range_m)
+    assert again.reasons == first.reasons
+    # Of other masks: passed over.
+    for wrong in (
+        {index: mask[1:] for index, mask in first.kept.items()},
+        first.kept | {99: np.ones(3, dtype=bool)},
+    ):
+        other = Lifter().lift(frame, detections, wrong)
+        assert [len(one.points_world) for one in other.observations] == [
+            len(one.points_world) for one in first.observations
+        ]
+
+
 def test_points_are_one_a_voxel():
     frame = look([TABLE], pose_at(0, 0, 0, -0.2), camera=FULL)
     (seen,) = lift(frame).observations

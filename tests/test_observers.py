@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import io
 import json
+import multiprocessing
 import os
 import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from dssmsg_plugins.observer import jsonl, progress, rerun
 from recorded_run import SyntheticRun, context
 
-from dssmsg.errors import StorageError
+from dssmsg.errors import InputError, StorageError
 from dssmsg.graph.compare import same
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.writer import RecordingWriter
@@ -29,10 +31,12 @@ from dssmsg_plugins.observer import jsonl, rerun
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # writing past the limit fails, as on a full disk
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-module = {"rerun": rerun, "jsonl": jsonl}[sys.argv[2]]
-factory = {"rerun": rerun.RerunObserver, "jsonl": jsonl.JsonlObserver}[sys.argv[2]]
-run = SyntheticRun(4000)
-observer = factory(module.Config(flush_secs=0.1), context(Path(sys.argv[1])))
+run, place = SyntheticRun(4000), context(Path(sys.argv[1]))
+if sys.argv[2] == "jsonl":
+    observer = jsonl.JsonlObserver(jsonl.Config(flush_secs=0.1), place)
+else:
+    config = rerun.Config(flush_secs=0.1, process=sys.argv[2] == "rerun process")
+    observer = rerun.RerunObserver(config, place)
 try:
     try:
         for event in run.events():
@@ -45,6 +49,23 @@ except StorageError as error:
 """
 
 
+TOLD = """
+import sys, time
+from pathlib import Path
+from recorded_run import SyntheticRun, context
+from dssmsg_plugins.observer.rerun import Config, RerunObserver
+
+run = SyntheticRun(40)
+observer = RerunObserver(Config(process=True, flush_secs=0.2), context(Path(sys.argv[1])))
+observer.on_event(run.started())
+for index in range(run.frames):
+    for event in run.frame_events(index):
+        observer.on_event(event)
+print("told", flush=True)
+time.sleep(60)
+"""
+
+
 def tell_all(observer: rerun.RerunObserver | jsonl.JsonlObserver, run: SyntheticRun) -> None:
     for event in run.events():
         observer.on_event(event)
@@ -52,9 +73,10 @@ def tell_all(observer: rerun.RerunObserver | jsonl.JsonlObserver, run: Synthetic
     observer.close()
 
 
-def test_rerun_records_a_run(tmp_path: Path) -> None:
+@pytest.mark.parametrize("process", [False, True], ids=["thread", "process"])
+def test_rerun_records_a_run(tmp_path: Path, process: bool) -> None:
     run = SyntheticRun(30)
-    observer = rerun.RerunObserver(rerun.Config(), context(tmp_path / "new" / "folder"))
+    observer = rerun.RerunObserver(rerun.Config(process=process), context(tmp_path / "new" / "folder"))
     assert observer.outputs() == {}
     assert not (tmp_path / "new").exists()  # made on use
     tell_all(observer, run)
@@ -79,6 +101,55 @@ def test_rerun_overwrites_nothing(tmp_path: Path) -> None:
     assert path.read_bytes() == b"precious"
 
 
+def test_a_process_that_cannot_write_says_so_and_overwrites_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "synthetic.rrd"
+    path.write_bytes(b"precious")
+    observer = rerun.RerunObserver(rerun.Config(process=True), context(tmp_path))
+    with pytest.raises(StorageError, match="exists already") as caught:
+        tell_all(observer, SyntheticRun(1))
+    assert caught.value.file == str(path)
+    with pytest.raises(StorageError, match="exists already"):
+        observer.close()
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_process_that_was_told_nothing_leaves_nothing(tmp_path: Path) -> None:
+    observer = rerun.RerunObserver(rerun.Config(process=True), context(tmp_path / "new"))
+    observer.close()
+    observer.close()
+    assert observer.outputs() == {}
+    assert not (tmp_path / "new").exists()
+
+
+def test_thread_and_process_write_the_same(tmp_path: Path) -> None:
+    found = []
+    for process in (False, True):
+        observer = rerun.RerunObserver(
+            rerun.Config(process=process, images="lossless"), context(tmp_path / str(process))
+        )
+        tell_all(observer, SyntheticRun(20, seed=4))
+        with Recording.open(Path(observer.outputs()["recording"])) as recording:
+            rows = [list(recording.change_rows()), recording.windows(), recording.matches()]
+            images = [recording.encoded_images(index) for index in recording.frame_indices]
+            seen = dict(recording.detection_hashes())
+        found.append((rows, images, seen))
+    assert found[0] == found[1]
+    assert len(found[0][1]) == 20
+
+
+def test_a_writer_whose_process_was_killed_is_missed(tmp_path: Path) -> None:
+    run = SyntheticRun(60)
+    observer = rerun.RerunObserver(rerun.Config(process=True), context(tmp_path))
+    observer.on_event(run.started())
+    (child,) = [one for one in multiprocessing.active_children() if one.name == "dssmsg-writer"]
+    child.kill()
+    child.join()
+    with pytest.raises(StorageError, match="was ended"):
+        tell_all(observer, run)
+    with pytest.raises(StorageError, match="was ended"):
+        observer.close()
+
+
 def test_jsonl_overwrites_nothing(tmp_path: Path) -> None:
     path = tmp_path / "synthetic.changes.jsonl"
     path.write_bytes(b"precious")
@@ -98,7 +169,7 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, module: object, 
         observer.on_event(SyntheticRun(1).started())
 
 
-@pytest.mark.parametrize("kind", ["rerun", "jsonl"])
+@pytest.mark.parametrize("kind", ["rerun", "rerun process", "jsonl"])
 def test_a_full_disk_ends_the_run(tmp_path: Path, kind: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", LIMITED, str(tmp_path), kind],
@@ -111,7 +182,7 @@ def test_a_full_disk_ends_the_run(tmp_path: Path, kind: str) -> None:
     assert done.returncode == 7, done.stderr
     assert "could not be written" in done.stdout
     assert "Traceback" not in done.stderr
-    if kind == "rerun":
+    if kind != "jsonl":
         with Recording.open(tmp_path / "synthetic.rrd") as recording:
             assert recording.facts["run_id"] == "synthetic"
 
@@ -161,6 +232,29 @@ def test_rerun_flushes_while_nothing_is_told(tmp_path: Path) -> None:
             frames = len(recording.frame_indices)
     assert frames == 1
     observer.close()
+
+
+def test_what_a_killed_mission_told_is_still_written(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", TOLD, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parent,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])},
+    )
+    assert process.stdout is not None
+    with process.stdout:
+        assert process.stdout.readline() == "told\n"
+        process.kill()
+        process.wait()
+    deadline = time.monotonic() + 30.0
+    frames = 0
+    while frames < 40 and time.monotonic() < deadline:
+        time.sleep(0.2)
+        if (tmp_path / "synthetic.rrd").exists():
+            with suppress(InputError), Recording.open(tmp_path / "synthetic.rrd") as recording:
+                frames = len(recording.frame_indices)
+    assert frames == 40
 
 
 def test_a_writer_that_fails_is_heard_of_and_nobody_waits(

@@ -412,9 +412,9 @@ def test_a_late_image_is_read_without_those_before_it(path: Path, monkeypatch: p
     read: list[int] = []
     whole = ChunkIndex.read
 
-    def watched(self: ChunkIndex, place: Any) -> Any:
-        read.append(place.number)
-        return whole(self, place)
+    def watched(self: ChunkIndex, places: Any) -> Any:
+        read.extend(place.number for place in places)
+        return whole(self, places)
 
     monkeypatch.setattr(ChunkIndex, "read", watched)
     with Recording.open(path) as recording:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from dssmsg.errors import ConfigError, InputError
 from dssmsg.frame import Frame
 from dssmsg.mission.ahead import Ahead, Ready
 from dssmsg.mission.replay_config import ReplayPlan, plan_replay
-from dssmsg.recording.lazy_frame import LazyFrame, looking
+from dssmsg.recording.lazy_frame import Elsewhere, LazyFrame, looking
 from dssmsg.recording.reader import Recording
 from dssmsg.review.diff import compare
 from dssmsg.sim.camera import probe_open3d
@@ -134,7 +135,7 @@ def test_a_second_process_changes_nothing_also_where_it_is_killed(
         return ready
 
     monkeypatch.setattr(Ahead, "take", take)
-    monkeypatch.setattr("dssmsg.mission.replay._WORTH_A_PROCESS", 1)
+    monkeypatch.setattr("dssmsg.mission.replay_config._WORTH_A_PROCESS", 1)
     _, path = replay(den, original)
     with Recording.open(original) as a, Recording.open(path) as b:
         assert list(b.change_rows()) == list(a.change_rows())
@@ -359,9 +360,9 @@ def test_a_lazy_frame_is_a_frame_and_decodes_once() -> None:
         decoded.append(1)
         return whole.rgb
 
-    names = ("index", "sim_time", "depth", "camera", "world_from_camera", "world_from_base", "visit")
+    names = ("index", "sim_time", "camera", "world_from_camera", "world_from_base", "visit")
     fields = {name: getattr(whole, name) for name in names}
-    frame = LazyFrame(colours, **fields, at_stop=True, truth=whole.truth)
+    frame = LazyFrame(colours, whole.depth, **fields, at_stop=True, truth=whole.truth)
     assert isinstance(frame, Frame)
     plain = looking(frame.without_truth(), False)
     assert (plain.truth, plain.at_stop, frame.at_stop) == (None, False, True)
@@ -380,10 +381,26 @@ def test_a_lazy_frame_checks_what_it_is_given() -> None:
     names = ("index", "sim_time", "camera", "world_from_camera", "world_from_base", "visit", "truth")
     fields = {name: getattr(whole, name) for name in names}
     with pytest.raises(ValueError, match="depth"):
-        LazyFrame(whole.rgb, **fields, depth=whole.depth[1:], at_stop=False)
-    frame = LazyFrame(lambda: whole.rgb[1:], **fields, depth=whole.depth, at_stop=False)
+        LazyFrame(whole.rgb, whole.depth[1:], **fields, at_stop=False)
+    frame = LazyFrame(lambda: whole.rgb[1:], lambda: whole.depth[1:], **fields, at_stop=False)
     with pytest.raises(ValueError, match="rgb"):
         _ = frame.rgb
+    with pytest.raises(ValueError, match="depth"):
+        _ = frame.depth
+
+
+def test_a_lazy_frame_crosses_to_another_process() -> None:
+    whole = SyntheticRun(1).frame(0)
+    sent = pickle.loads(
+        pickle.dumps(LazyFrame.like(whole, rgb=lambda: whole.rgb, depth=lambda: whole.depth, at_stop=True))
+    )
+    assert np.array_equal(sent.rgb, whole.rgb)
+    assert np.array_equal(sent.depth, whole.depth)
+    assert (sent.index, sent.at_stop) == (whole.index, True)
+    bare = pickle.loads(pickle.dumps(LazyFrame.like(whole, rgb=Elsewhere(), depth=Elsewhere())))
+    assert np.array_equal(bare.world_from_camera, whole.world_from_camera)
+    with pytest.raises(ValueError, match="another process"):
+        _ = bare.rgb
 
 
 def test_the_summary_is_json(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def replay_command(recording: Path | None, sets: list[str], file: Path | None, *
 
     with stdout_to_stderr(), Recording.open(chosen(recording)) as opened:
         warn_of_cuts(opened)
-        plan = plan_replay(opened, file=file, sets=sets)
+        plan = plan_replay(opened, file=file, sets=sets, processes=True)
         for key in plan.left_out:
             note(f"warning: {key} is left out: this version has no such option")
         for key, (before, now) in plan.changed.items():

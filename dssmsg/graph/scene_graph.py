@@ -1,9 +1,9 @@
 """The scene graph G = (N_O, N_W, E_O, E_W, E_WO) of the paper (III-A), event-sourced.
 
-`apply` and `apply_all` are the only writers. Nodes and edges are immutable values; indexes (adjacency,
-boxes, positions, KD-trees, voxels) follow the tables and are never part of the state. A change costs what
-its subject costs, however large the graph is. Folding the changes that `apply` returned gives the same
-graph again, exactly (`dssmsg.graph.compare.same`).
+`apply`, `apply_all` and `follow` are the only writers. Nodes and edges are immutable values; indexes
+(adjacency, boxes, positions, KD-trees, voxels) follow the tables and are never part of the state. A change
+costs what its subject costs, however large the graph is. Folding the changes that `apply` returned gives the
+same graph again, exactly (`dssmsg.graph.compare.same`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from dssmsg.neighbours import quick_tree
 
 
 class SceneGraph:
-    """The live graph; a `dssmsg.graph.view.GraphView` with the writers `apply` and `apply_all`.
+    """The live graph; a `dssmsg.graph.view.GraphView` with its writers.
 
     Not thread-safe: one thread owns it.
     """
@@ -89,11 +89,17 @@ class SceneGraph:
         `update` counts from 1, so that it equals `updates` right after. A change that is already stamped
         (read from a recording) must have its number and its effect. Raises GraphError, graph unchanged.
         """
-        return self._apply_batch([change])[0]
+        return self._apply_batch([checked(change)])[0]
+
+    def follow(self, changes: Sequence[Change]) -> None:
+        """Carry out changes that another graph has stamped: their form is not looked at again."""
+        self._apply_batch(changes)
 
     def apply_all(self, changes: Sequence[Change], frame: int, sim_time: float) -> tuple[Change, ...]:
         """Carry out the changes of one frame, stamped with it: all, or none and GraphError."""
-        return self._apply_batch([replace(change, frame=frame, sim_time=sim_time) for change in changes])
+        return self._apply_batch(
+            [checked(replace(change, frame=frame, sim_time=sim_time)) for change in changes]
+        )
 
     def _apply_batch(self, changes: Sequence[Change]) -> tuple[Change, ...]:
         updates = self._updates
@@ -107,7 +113,6 @@ class SceneGraph:
         return stamped
 
     def _apply_one(self, change: Change) -> Change:
-        change = checked(change)
         effect = effect_of(self, change)
         stamped = self._stamped(change, effect)
         self._write(change, effect)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dssmsg import checks
-from dssmsg.frame import ByteArray, Camera, Detection, Frame, Observation
+from dssmsg.errors import InputError
+from dssmsg.frame import ByteArray, Camera, Detection, Frame, MaskArray, Observation
 from dssmsg.graph.topology import Point, Strip
 from dssmsg.interfaces import SourceInfo
 from dssmsg.lift import Lifted, Lifter
@@ -40,12 +41,13 @@ _WAITING_FRAMES = 24
 class Ready:
     """What was found out of a frame.
 
-    depth_mm (H, W) uint16; rgb (H, W, 3) uint8 of key frames; `plan`: the floor plan after the frame;
-    `lifted`: of a key frame with recorded detections, features left out, for they stay with these.
+    depth_mm (H, W) uint16 and rgb (H, W, 3) uint8 of frames that the map looks at; `plan`: the floor plan
+    after the frame; `lifted`: of a key frame with recorded detections, features left out, for they stay with
+    these.
     """
 
     index: int
-    depth_mm: NDArray[np.uint16]
+    depth_mm: NDArray[np.uint16] | None
     rgb: ByteArray | None
     plan: RollingGrid
     lifted: Lifted | None
@@ -57,6 +59,8 @@ class Task:
 
     path: Path
     indices: Sequence[int]
+    driven: frozenset[int]
+    """Those that navigation sees: it wants the depth of all of them."""
     camera: Camera
     depth_noise_m: tuple[float, float]
     rule: KeyFrameRule
@@ -103,18 +107,36 @@ class Ahead:
         return ready
 
 
-class AheadLifter(Lifter):
+class RecordedLifter(Lifter):
+    """Lifts recorded detections, with what was kept of each when they were recorded."""
+
+    def __init__(self, recording: Recording) -> None:
+        super().__init__()
+        self._recording = recording
+
+    def lift(
+        self, frame: Frame, detections: Sequence[Detection], kept: Mapping[int, MaskArray] | None = None
+    ) -> Lifted:
+        """The observations of the recorded detections of a frame; they must be those that are given."""
+        with suppress(InputError):  # damaged: it follows from what is there
+            kept = self._recording.kept(frame.index)
+        return super().lift(frame, detections, kept)
+
+
+class AheadLifter(RecordedLifter):
     """Gives what the helper lifted; lifts itself where it has nothing."""
 
-    def __init__(self, ahead: Ahead) -> None:
-        super().__init__()
+    def __init__(self, recording: Recording, ahead: Ahead) -> None:
+        super().__init__(recording)
         self._ahead = ahead
 
-    def lift(self, frame: Frame, detections: Sequence[Detection]) -> Lifted:
+    def lift(
+        self, frame: Frame, detections: Sequence[Detection], kept: Mapping[int, MaskArray] | None = None
+    ) -> Lifted:
         """The observations of the recorded detections of a frame; they must be those that are given."""
         ready = self._ahead.latest(frame.index)
         if ready is None or ready.lifted is None:
-            return super().lift(frame, detections)
+            return super().lift(frame, detections, kept)
         return replace(
             ready.lifted,
             observations=tuple(
@@ -195,23 +217,25 @@ def _go_through(task: Task, waiting: queue.Queue[Ready | None]) -> None:
     info = SourceInfo("recording", task.camera, drivable=False, has_truth=False)
     selector = KeyFrameSelector(task.rule)
     plan = RollingGrid(GridOptions(noise=task.depth_noise_m))
-    lifter = Lifter()
     before: Frame | None = None
     with Recording.open(task.path) as recording:
+        lifter = RecordedLifter(recording)
         for index in task.indices:
             frame = recording.frame(index, lazy=True)
             checks.check_frame(frame, info, before)
             if before is None or frame.visit != before.visit:
                 plan.forget()
             plan.observe(frame)
-            rgb, lifted = None, None
-            if selector.is_key(frame):
+            rgb, lifted, key = None, None, selector.is_key(frame)
+            if key:
                 rgb = frame.rgb
                 detections = recording.detections(index) if task.lifts else None
                 if detections is not None:
                     lifted = lifter.lift(frame, checks.check_detections(frame, detections))
                     lifted = replace(lifted, observations=tuple(map(_bare, lifted.observations)))
-            millimetres = np.rint(frame.depth * np.float32(1000.0)).astype(np.uint16)
+            millimetres = None
+            if key or index in task.driven:
+                millimetres = np.rint(frame.depth * np.float32(1000.0)).astype(np.uint16)
             # A copy: the plan goes on while this one waits to be sent.
             waiting.put(Ready(index, millimetres, rgb, deepcopy(plan), lifted))
             before = frame

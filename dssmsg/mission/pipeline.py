@@ -160,7 +160,7 @@ class Pipeline:
             observations = lifted.observations
             for reason, count in lifted.dropped.items():
                 self.tally.dropped[reason] = self.tally.dropped.get(reason, 0) + count
-        detected = Detected(plain.index, plain.sim_time, tuple(detections), tuple(observations))
+        detected = Detected(plain.index, plain.sim_time, tuple(detections), tuple(observations), lifted.kept)
         with self.stage("association"):
             name = plugins.association_name
             changes = guard.call(

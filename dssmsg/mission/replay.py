@@ -11,7 +11,6 @@ With the plug-ins that were recorded, on lossless images, the change log is the 
 from __future__ import annotations
 
 import hashlib
-import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -30,8 +29,10 @@ from dssmsg.frame import Frame
 from dssmsg.guard import LastWords, say_on_stderr
 from dssmsg.host import Host
 from dssmsg.interfaces import Command, Observer
-from dssmsg.mission.ahead import Ahead, AheadFloor, AheadLifter, Task
+from dssmsg.lift import Lifter
+from dssmsg.mission.ahead import Ahead, AheadFloor, AheadLifter, RecordedLifter, Task
 from dssmsg.mission.keyframes import key_frame_rule
+from dssmsg.mission.replay_config import worth_a_process
 from dssmsg.mission.run import Mission, RunResult
 from dssmsg.mission.topology import FloorPlan
 from dssmsg.recording.lazy_frame import looking
@@ -40,8 +41,6 @@ from dssmsg.recording.reader import Recording
 DRIVE_OVER = "recorded drive over"
 """Why an episode ends whose robot, in the recording, drove no further."""
 _SEEK = "seek"
-_WORTH_A_PROCESS = 400
-"""Frames from which the start of another process, two seconds of work, is well spent."""
 
 
 def replay_mission(
@@ -94,7 +93,9 @@ class Replay(Mission):
         self._parent = recording
         self._parent_hash = _in_background(partial(file_hash, recording.path))  # while the plug-ins are built
         self._ahead = ahead
-        lifter = None if ahead is None else AheadLifter(ahead)
+        lifter: Lifter | None = None
+        if _reuses_detections(config, recording):
+            lifter = RecordedLifter(recording) if ahead is None else AheadLifter(recording, ahead)
         super().__init__(config, host, observers, last_words, lifter)
         self._waiting = deque(_in_order(recording))
         self._visits = sorted({recording.visit(index) for index in self._waiting})
@@ -238,11 +239,23 @@ def _helper(config: RunConfig, recording: Recording) -> Ahead | None:
     """A process that goes ahead, unless there is too little to do or no core to do it on."""
     camera, noise = recording.camera(), recording.facts["source"]["depth_noise_m"]
     indices = _in_order(recording)[: config.mission.max_frames]
-    if camera is None or len(indices) < _WORTH_A_PROCESS or (os.cpu_count() or 1) < 2:
+    if camera is None or not worth_a_process(recording):
         return None
-    reused = config.perception.use == "recorded"
-    rule = key_frame_rule(config.mission)
-    return Ahead(Task(recording.readable_path, indices, camera, (noise[0], noise[1]), rule, reused))
+    driven = frozenset(
+        index
+        for part in _parts(recording)
+        for index in indices
+        if part.phase == _SEEK and part.first <= index < part.end
+    )
+    rule, reused = key_frame_rule(config.mission), _reuses_detections(config, recording)
+    return Ahead(Task(recording.readable_path, indices, driven, camera, (noise[0], noise[1]), rule, reused))
+
+
+def _reuses_detections(config: RunConfig, recording: Recording) -> bool:
+    """Whether perception gives the detections of this very recording."""
+    slot, path = config.perception, config.perception.options.get("recording")
+    named = slot.use == "recorded" and isinstance(path, str)
+    return named and (config.base_dir / str(path)).resolve() == recording.path.resolve()
 
 
 def _parts(recording: Recording) -> list[_Part]:

@@ -22,6 +22,8 @@ from dssmsg.host import Host
 from dssmsg.recording.reader import Recording
 
 NAME_LENGTH = 64
+_WORTH_A_PROCESS = 400
+"""Frames from which the start of another process, two seconds of work, is well spent."""
 _TAKEN = (
     "name",
     "seed",
@@ -60,10 +62,12 @@ def plan_replay(
     file: Path | None = None,
     sets: Sequence[str] = (),
     environment: Mapping[str, str] | None = None,
+    processes: bool = False,
 ) -> ReplayPlan:
     """Put a replay together and check every slot of it; nothing is written yet.
 
     `file` is a YAML file of the user's (`./dssmsg.yaml` is not read), `environment` None the process's.
+    `processes`: the recording may be written by a process of its own, as `replay_mission` says of `ahead`.
     Raises ConfigError where a value is wrong, cannot change in a replay, or names code out of the recording;
     InputError where the recording holds no configuration.
     """
@@ -82,6 +86,8 @@ def plan_replay(
     )
     reuses_answers = not any("llm" in layer.data for layer in own)
     top = _top_layer(recording, before, asked, reuses_detections, reuses_answers)
+    if processes and worth_a_process(recording) and "recording" in top.data:
+        top.data["recording"]["observers"]["rerun"]["process"] = True
     layers = [*base, *own, top]
     config = make_config(layers, file=file)
     _refuse_recorded_code(config, layers, label)
@@ -138,6 +144,11 @@ def recorded_layer(recording: Recording, label: str) -> Layer:
     if not isinstance(recorded, Mapping):
         raise InputError(f"holds no configuration, but {describe(recorded)}", file=recording.path)
     return Layer(label, {key: recorded[key] for key in _TAKEN if key in recorded})
+
+
+def worth_a_process(recording: Recording) -> bool:
+    """Whether there is a core for another process, and enough to do for it."""
+    return len(recording.readable_frame_indices) >= _WORTH_A_PROCESS and (os.cpu_count() or 1) >= 2
 
 
 def recorded_slot(path: Path, use: str = "recorded", **options: Any) -> dict[str, Any]:

@@ -236,7 +236,7 @@ class RollingGrid:
         pixels = np.flatnonzero(telling)
         depth, height, slack = (values.reshape(-1)[pixels] for values in (depth, height, slack))
         row, column = (
-            np.floor((rays.reshape(-1)[pixels] * depth + start) / o.cell).astype(np.int64) - low
+            (np.floor((rays.reshape(-1)[pixels] * depth + start) / o.cell) - low).astype(np.int32)
             for rays, start, low in zip((x, y), place[:2], self._corner, strict=True)
         )
         within = (row >= 0) & (row < n) & (column >= 0) & (column < n)

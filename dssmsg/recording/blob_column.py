@@ -13,6 +13,8 @@ from dssmsg.recording.columns import component_of
 from dssmsg.recording.schema import FRAME
 
 KEPT_BYTES = 256_000_000
+_AHEAD_BYTES = 4_000_000
+"""Of the file, read at once where a file is gone through."""
 
 K = TypeVar("K", bound=Hashable)
 
@@ -131,18 +133,27 @@ class BlobColumn(Mapping[K, bytes], Generic[K]):
         if isinstance(first, (pa.BinaryScalar, pa.LargeBinaryScalar)):
             data: bytes = first.as_py()
             return data
-        return bytes(first.values.to_numpy(zero_copy_only=True))
+        buffer = first.values.buffers()[1]
+        return bytes(memoryview(buffer)[first.values.offset : first.values.offset + len(first.values)])
 
 
 class IndexedBlobs(BlobColumn[int]):
-    """The values of an entity's component by frame, where the file's index says which chunk has them."""
+    """The values of an entity's component by frame, where the file's index says which chunk has them.
+
+    `read` gives the rows of chunks. Whoever goes through a file is given the next ones beforehand.
+    """
 
     def __init__(
-        self, places: Sequence[Place], component: str, read: Callable[[Place], pa.RecordBatch | None]
+        self,
+        places: Sequence[Place],
+        component: str,
+        read: Callable[[Sequence[Place]], list[pa.RecordBatch]],
     ) -> None:
         super().__init__(lambda: iter(()), component, frames_of_rows)
         self._places = places
-        self._read_place = read
+        self._read_places = read
+        self._order = {place.number: order for order, place in enumerate(places)}
+        self._latest = -2
 
     def _read(self, key: int) -> int | None:
         holding = [place for place in self._places if place.first <= key <= place.last]
@@ -154,9 +165,33 @@ class IndexedBlobs(BlobColumn[int]):
     def _meet_all(self) -> None:
         if not self._all_met:
             for place in self._places:
-                self._rows_of(place)
+                if place.number not in self._kept:
+                    self._rows_of(place)
             self._all_met = True
 
     def _rows_of(self, place: Place) -> Mapping[int, int]:
-        batch = self._read_place(place)
-        return {} if batch is None else self._keep(place.number, batch)
+        asked = self._with_next(place)
+        for batch in self._read_places(asked):
+            frames = self._keys(batch)
+            # A chunk bears no number: it is known by its frames, and by these alone where only one was read.
+            span = (min(frames), max(frames)) if frames else None
+            found = [one for one in asked if (one.first, one.last) == span] if len(asked) > 1 else asked
+            if len(found) == 1:
+                self._keep(found[0].number, batch)
+        if place.number not in self._kept and len(asked) > 1:
+            for batch in self._read_places([place]):
+                self._keep(place.number, batch)
+        return self._kept[place.number][0] if place.number in self._kept else {}
+
+    def _with_next(self, place: Place) -> list[Place]:
+        """A chunk, and those after it if the one before was the latest that was read."""
+        order = self._order[place.number]
+        asked, size = [place], place.size
+        if order == self._latest + 1:
+            for one in self._places[order + 1 :]:
+                size += one.size
+                if one.number in self._kept or size > min(_AHEAD_BYTES, self._keeps_bytes):
+                    break
+                asked.append(one)
+        self._latest = order + len(asked) - 1
+        return asked

@@ -21,6 +21,7 @@ from dssmsg.frame import (
     FloatArray,
     Frame,
     IntArray,
+    MaskArray,
     Truth,
     TruthObject,
     depth_from_millimetres,
@@ -30,10 +31,12 @@ from dssmsg.recording import schema
 from dssmsg.recording.damage import reading
 from dssmsg.recording.images import decode_depth, decode_instances, decode_masks, decode_rgb
 from dssmsg.recording.lazy_frame import LazyFrame, LazyTruth
-from dssmsg.recording.rows import detections_from_row, feature_of, truth_objects
+from dssmsg.recording.rows import detections_from_row, feature_of, kept_from_row, truth_objects
 from dssmsg.recording.store import ChunkFile
 
 _RGB, _DEPTH = "EncodedImage:blob", "EncodedDepthImage:blob"
+_SEEN = tuple(name for name in schema.DETECTIONS.columns if name not in ("voxels", "kept"))
+"""What is compared of detections: all but what follows from the rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,34 +128,42 @@ class FrameTable:
         """
         self.of(index)
         camera = self._camera(index)
-        stored = self._file.blob(schema.DEPTH, _DEPTH, index)
-        if stored is None or not (lazy or self.encoded_images(index)):
-            raise InputError(
-                f"the images of frame {index} are missing: the file was cut off", file=self._path
-            )
-        with reading(self._path, f"the images of frame {index}"):
-            distances = decode_depth(stored, (camera.height, camera.width))
-        fields = self._fields(index, camera, distances, with_truth, lazy)
+        distances = self._distances(index, camera)
+        if not (lazy or self.encoded_images(index)):
+            raise self._cut_off(index)
+        fields = self._fields(index, camera, with_truth, lazy)
         colours = partial(self._colours, index, camera)
-        return LazyFrame(colours, **fields) if lazy else Frame(rgb=colours(), **fields)
+        if lazy:
+            return LazyFrame(colours, distances, **fields)
+        return Frame(rgb=colours(), depth=distances, **fields)
 
     def decoded_frame(
-        self, index: int, depth_mm: NDArray[np.uint16], rgb: ByteArray | None, *, with_truth: bool = False
+        self,
+        index: int,
+        depth_mm: NDArray[np.uint16] | None,
+        rgb: ByteArray | None,
+        *,
+        with_truth: bool = False,
     ) -> Frame:
-        """A frame whose depth (H, W), perhaps colours (H, W, 3) too, are decoded; the rest is lazy."""
+        """A frame whose images somebody looked at: depth (H, W) and colours (H, W, 3), where they are given.
+
+        The rest is lazy.
+        """
         self.of(index)
         camera = self._camera(index)
-        fields = self._fields(index, camera, depth_from_millimetres(depth_mm), with_truth, lazy=True)
-        return LazyFrame(partial(self._colours, index, camera) if rgb is None else rgb, **fields)
+        return LazyFrame(
+            partial(self._colours, index, camera) if rgb is None else rgb,
+            partial(self._distances, index, camera)
+            if depth_mm is None
+            else partial(depth_from_millimetres, depth_mm),
+            **self._fields(index, camera, with_truth, lazy=True),
+        )
 
-    def _fields(
-        self, index: int, camera: Camera, depth: Float32Array, with_truth: bool, lazy: bool
-    ) -> dict[str, Any]:
+    def _fields(self, index: int, camera: Camera, with_truth: bool, lazy: bool) -> dict[str, Any]:
         facts = self.of(index)
         return {
             "index": index,
             "sim_time": facts.sim_time,
-            "depth": depth,
             "camera": camera,
             "world_from_camera": self._pose(index, "world_from_camera"),
             "world_from_base": self._pose(index, "world_from_base"),
@@ -160,6 +171,16 @@ class FrameTable:
             "at_stop": facts.at_stop,
             "truth": self.truth(index, lazy=lazy) if with_truth else None,
         }
+
+    def _distances(self, index: int, camera: Camera) -> Float32Array:
+        stored = self._file.blob(schema.DEPTH, _DEPTH, index)
+        if stored is None:
+            raise self._cut_off(index)
+        with reading(self._path, f"the images of frame {index}"):
+            return decode_depth(stored, (camera.height, camera.width))
+
+    def _cut_off(self, index: int) -> InputError:
+        return InputError(f"the images of frame {index} are missing: the file was cut off", file=self._path)
 
     def _colours(self, index: int, camera: Camera) -> ByteArray:
         data = self._file.blob(schema.RGB, _RGB, index)
@@ -242,6 +263,16 @@ class FrameTable:
             cells["label_scores"] = table.value("label_scores", row)
             return detections_from_row(cells, masks, self._blobs)
 
+    def kept(self, index: int) -> Mapping[int, MaskArray] | None:
+        """Which voxels of its mask were kept of each lifted detection; None where the file does not say."""
+        table = self._file.table(schema.DETECTIONS)
+        row = table.last_of_frame.get(index)
+        if row is None:
+            return None
+        with reading(self._path, f"what was lifted of frame {index}"):
+            cells = {"voxels": table.cell("voxels", row)}
+            return kept_from_row(cells | {name: table.value(name, row) for name in ("observations", "kept")})
+
     def detection_cells(self, index: int) -> Mapping[str, Sequence[Any]] | None:
         """The detections of a frame as they are stored, to be compared without decoding a mask."""
         table = self._file.table(schema.DETECTIONS)
@@ -249,15 +280,14 @@ class FrameTable:
         if row is None:
             return None
         with reading(self._path, f"the detections of frame {index}"):
-            return {name: table.cell(name, row) for name in schema.DETECTIONS.columns}
+            return {name: table.cell(name, row) for name in _SEEN}
 
     def detection_hashes(self) -> Mapping[int, bytes]:
         """A hash of each frame's detections as they are stored; chunk by chunk, nothing is kept."""
-        names = schema.DETECTIONS.columns
         found = {}
         with reading(self._path, "the detections"):
             for table in self._file.chunks(schema.DETECTIONS):
-                cells = zip(*(table.cells(name) for name in names), strict=True)
+                cells = zip(*(table.cells(name) for name in _SEEN), strict=True)
                 for frame, row in zip(table.frames, cells, strict=True):
                     found[frame] = hashlib.blake2b(repr(row).encode(), digest_size=16).digest()
         return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal, cast
 
@@ -123,6 +123,23 @@ def decode_masks(data: bytes, shape: tuple[int, int, int]) -> MaskArray:
         )
     bits = np.frombuffer(packed, dtype=np.uint8).reshape(count, height, -1)
     return np.unpackbits(bits, axis=2, count=width).astype(np.bool_)
+
+
+def encode_bits(flags: Sequence[MaskArray]) -> bytes:
+    """Flags (N,) of several lengths as deflated bits, one after the other."""
+    return zlib.compress(np.packbits(np.concatenate(flags)).data, _FAST)
+
+
+def decode_bits(data: bytes, sizes: Sequence[int]) -> list[MaskArray]:
+    """The flags, given how many there are of each. Raises ValueError or zlib.error for other bytes."""
+    total = sum(sizes)
+    if min(sizes) < 0 or total > _MAX_PIXELS:
+        raise ValueError(f"expected at most {_MAX_PIXELS} flags, got {total}")
+    packed = zlib.decompressobj().decompress(data, -(-total // 8) + 1)
+    if len(packed) != -(-total // 8):
+        raise ValueError(f"expected {total} flags, got bytes for another number")
+    bits = np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=total).astype(np.bool_)
+    return np.split(bits, np.cumsum(sizes)[:-1])
 
 
 def encode_instances(instance_ids: IntArray) -> bytes:

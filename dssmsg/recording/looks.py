@@ -6,6 +6,7 @@ Whatever there is many of goes into one batch an entity: hundreds of entities sl
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 import rerun as rr
@@ -108,12 +109,13 @@ def edges_looks(graph: GraphView) -> dict[str, rr.LineStrips3D]:
     """Line segments of every edge kind; blocked path edges are a kind of their own."""
     segments: dict[str, list[tuple[FloatArray, FloatArray]]] = {kind: [] for kind in palette.EDGE_COLOURS}
     names: dict[str, list[str]] = {kind: [] for kind in palette.EDGE_COLOURS}
+    spots = places(graph)
     for edge in graph.edges.values():
-        ends = (place(graph, edge.source), place(graph, edge.target))
-        if ends[0] is None or ends[1] is None:
+        if edge.source not in spots or edge.target not in spots:
             continue
+        ends = spots[edge.source], spots[edge.target]
         kind = "blocked" if edge.attributes.get("blocked") else edge.kind
-        segments[kind].append((ends[0], ends[1]))
+        segments[kind].append(ends)
         names[kind].append(f"{edge.source} {edge.attributes.get('relation', edge.kind)} {edge.target}")
     widths = {PATH: 2.5, "blocked": 3.5, NEAR: 1.2, SEES: 0.3}
     return {
@@ -158,6 +160,13 @@ def place(graph: GraphView, node_id: str) -> FloatArray | None:
     if (viewpoint := graph.viewpoints.get(node_id)) is not None:
         return viewpoint.world_from_camera[:3, 3]
     return None
+
+
+def places(graph: GraphView) -> dict[str, FloatArray]:
+    """`place` of every node and viewpoint."""
+    spots = {node.id: node.center for node in graph.objects.values()}
+    spots |= {node.id: node.position for node in graph.waypoints.values()}
+    return spots | {node.id: node.world_from_camera[:3, 3] for node in graph.viewpoints.values()}
 
 
 def graph_looks(graph: GraphView) -> dict[str, list[rr.GraphNodes | rr.GraphEdges]]:
@@ -243,7 +252,12 @@ def spread_labels(positions: _Points, lengths: Sequence[int]) -> _Points:
 
     Deterministic, and small moves where there is room: the floor plan stays recognisable.
     """
-    x, y = positions.astype(np.float64).T.copy()
+    return _spread(positions.astype(np.float32).tobytes(), tuple(lengths)).copy()
+
+
+@lru_cache(maxsize=8)  # edges come and go more often than nodes move
+def _spread(points: bytes, lengths: tuple[int, ...]) -> _Points:
+    x, y = np.frombuffer(points, np.float32).reshape(-1, 2).astype(np.float64).T.copy()
     width = 3.8 * np.array(lengths, dtype=np.float64) + 12.0
     reach_x = width[:, None] + width
     np.fill_diagonal(reach_x, -1.0)  # nobody is in their own way

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -93,11 +93,14 @@ class MessagePicker:
                 position = file.seek(position + _MESSAGE.size + length)
         self._begin = b"".join(begin)
 
-    def alone(self, position: int, length: int) -> bytes:
-        """A stream with nothing but the message whose payload is so long and begins there."""
+    def alone(self, payloads: Sequence[tuple[int, int]]) -> bytes:
+        """A stream with nothing but the messages whose payloads begin there and are so long."""
+        parts = [self._begin]
         with self._path.open("rb") as file:
-            file.seek(position - _MESSAGE.size)
-            return self._begin + file.read(_MESSAGE.size + length)
+            for position, length in payloads:
+                file.seek(position - _MESSAGE.size)
+                parts.append(file.read(_MESSAGE.size + length))
+        return b"".join(parts)
 
 
 def messages_span(stream: bytes) -> tuple[int, int]:

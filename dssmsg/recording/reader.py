@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dssmsg.errors import InputError
-from dssmsg.frame import ByteArray, Camera, Detection, Float32Array, FloatArray, Frame, Truth
+from dssmsg.frame import ByteArray, Camera, Detection, Float32Array, FloatArray, Frame, MaskArray, Truth
 from dssmsg.graph.changes import Change
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.interfaces.source import Command
@@ -191,12 +191,17 @@ class Recording:
         return self._frames.frame(index, with_truth=with_truth, lazy=lazy)
 
     def decoded_frame(
-        self, index: int, depth_mm: NDArray[np.uint16], rgb: ByteArray | None, *, with_truth: bool = False
+        self,
+        index: int,
+        depth_mm: NDArray[np.uint16] | None,
+        rgb: ByteArray | None,
+        *,
+        with_truth: bool = False,
     ) -> Frame:
-        """A frame whose images somebody has decoded: depth (H, W) millimetres, rgb (H, W, 3) or None.
+        """A frame whose images somebody has decoded and checked: depth (H, W) millimetres, rgb (H, W, 3).
 
-        Colours that are not given, and the truth, are decoded on first use. Raises InputError if there is
-        no such frame.
+        What is not given, and the truth, are decoded on first use. Raises InputError if there is no such
+        frame.
         """
         return self._frames.decoded_frame(index, depth_mm, rgb, with_truth=with_truth)
 
@@ -266,6 +271,13 @@ class Recording:
     def detections(self, index: int) -> Sequence[Detection] | None:
         """The detections of a frame, masks and features exactly; None where perception did not run."""
         return self._frames.detections(index)
+
+    def kept(self, index: int) -> Mapping[int, MaskArray] | None:
+        """By index of each detection that was lifted: which (V,) of the voxels of its mask are of the thing.
+
+        None where the recording does not say.
+        """
+        return self._frames.kept(index)
 
     def detection_cells(self, index: int) -> Mapping[str, Sequence[Any]] | None:
         """The cells of a frame's row of `/detections` as they are stored; None where there is none."""

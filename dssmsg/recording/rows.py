@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from dssmsg import events
-from dssmsg.frame import Detection, Float32Array, Truth, TruthObject
+from dssmsg.frame import Detection, Float32Array, MaskArray, Truth, TruthObject
 from dssmsg.interfaces.source import Command
-from dssmsg.recording.images import encode_instances, encode_masks
+from dssmsg.recording.images import decode_bits, encode_bits, encode_instances, encode_masks
 
 Row = dict[str, Any]
 
@@ -91,6 +91,10 @@ def detections_row(event: events.Detected) -> tuple[Row, dict[str, bytes]]:
 
     detections = event.detections
     masks, shape = encode_masks([detection.mask for detection in detections])
+    kept = [event.kept.get(observation.detection_index) for observation in event.observations]
+    known = [voxels for voxels in kept if voxels is not None]
+    if len(known) < len(kept):
+        known = []  # a part of it is of no use
     row = {
         "labels": [detection.label for detection in detections],
         "scores": [detection.score for detection in detections],
@@ -112,8 +116,19 @@ def detections_row(event: events.Detected) -> tuple[Row, dict[str, bytes]]:
                 for observation in event.observations
             ]
         ),
+        "voxels": [len(voxels) for voxels in known],
+        "kept": encode_bits(known) if known else None,
     }
     return row, blobs
+
+
+def kept_from_row(row: Mapping[str, Any]) -> dict[int, MaskArray] | None:
+    """What was kept of each lifted detection, by its index; None where the row does not say."""
+    lifted = [one["detection"] for one in json.loads(row["observations"] or "[]")]
+    sizes = row["voxels"]
+    if len(sizes) != len(lifted):
+        return None
+    return dict(zip(lifted, decode_bits(row["kept"], sizes), strict=True)) if sizes else {}
 
 
 def detections_from_row(row: Mapping[str, Any], masks: Any, features: Mapping[str, bytes]) -> list[Detection]:

@@ -81,6 +81,8 @@ DETECTIONS = Table(
         "image_features": TEXT,
         "label_scores": TEXT,  # JSON: runners-up of each detection
         "observations": TEXT,  # JSON: what could be lifted
+        "voxels": WHOLE,  # of each observation: how many its mask holds
+        "kept": BYTES,  # which of these are of the thing: deflated bits, one observation after the other
     },
 )
 BLOBS = Table("/blobs", "Blob", {"hash": TEXT, "data": BYTES})

@@ -7,7 +7,7 @@ simulator.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
 from pathlib import Path
@@ -89,9 +89,9 @@ class ChunkFile:
         if index is None:
             return BlobColumn(batches, component, frames_of_rows)
 
-        def read(place: Place) -> pa.RecordBatch | None:
+        def read(places: Sequence[Place]) -> list[pa.RecordBatch]:
             with self._rerun(f"damaged: {path} does not read"):
-                return index.read(place)
+                return index.read(places)
 
         return IndexedBlobs(index.places(path), component, read)
 

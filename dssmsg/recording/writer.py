@@ -213,7 +213,7 @@ class RecordingWriter:
         stamp = self._stamp(event.frame, event.sim_time)
         counts: dict[str, int] = dict.fromkeys(_CHANGE_GROUPS.values(), 0)
         for change in event.changes:
-            row, blobs = codec.encode(change)
+            row, blobs = codec.encode_stamped(change)
             own = self._stamp(change.frame, change.sim_time, update=change.update)
             self._book.add(
                 schema.GRAPH_LOG,
@@ -236,8 +236,7 @@ class RecordingWriter:
             )
             if change.kind in _CHANGE_GROUPS:
                 counts[_CHANGE_GROUPS[change.kind]] += 1
-        for change in event.changes:
-            self._graph.apply(change)
+        self._graph.follow(event.changes)
         if (snapshot := self._snapshots.row(self._graph, event.frame)) is not None:
             self._book.add(schema.SNAPSHOTS, stamp, snapshot)
         for group, count in counts.items():

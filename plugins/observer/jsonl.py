@@ -47,7 +47,7 @@ class JsonlObserver:
                 from dssmsg.graph import codec
 
                 for change in event.changes:
-                    row, _ = codec.encode(change)  # arrays stand in the row as hashes
+                    row, _ = codec.encode_stamped(change)  # arrays stand in the row as hashes
                     self._file.write(codec.canonical_json(row) + "\n")
             if time.monotonic() - self._flushed >= self._flush_secs:
                 self._flush()
