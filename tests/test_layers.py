@@ -10,7 +10,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-VALUES = {"errors", "config_yaml", "frame", "events", "geometry", "neighbours", "interfaces", "checks"}
+VALUES = {
+    "errors", "config_yaml", "frame", "events", "geometry", "neighbours", "interfaces", "checks", "processes",
+}  # fmt: skip
 """What everybody may build on: values, contracts, exact geometry. Among themselves: see `ALLOWED`."""
 HOST = {
     "config", "config_errors", "config_layers", "config_schema", "contexts",
@@ -29,6 +31,7 @@ ALLOWED: dict[str, set[str]] = {
     "frame": set(),
     "geometry": {"frame"},
     "neighbours": {"frame"},
+    "processes": set(),
     "events": {"frame", "graph", "interfaces"},  # `interfaces` for annotations only
     "interfaces": {"frame", "events", "graph"},
     "checks": {"frame", "events", "graph", "interfaces"},
@@ -44,7 +47,7 @@ ALLOWED: dict[str, set[str]] = {
     "sequences": {"errors", "frame"},
     "sim": {"errors", "config_yaml", "frame", "interfaces"},
     "recogniser": {"errors", "frame", "sim", "geometry", "depth_components", "config_yaml"},
-    "recording": {"errors", "frame", "interfaces", "events", "geometry", "graph"},
+    "recording": {"errors", "frame", "interfaces", "events", "geometry", "graph", "processes"},
     # what puts them together
     "mission": VALUES | HOST | TOOLS | {"graph", "llm", "navigation", "recording"},
     "evaluate": VALUES

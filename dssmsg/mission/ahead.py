@@ -31,6 +31,7 @@ from dssmsg.lift import Lifted, Lifter
 from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
 from dssmsg.mission.topology import FloorPlan
 from dssmsg.navigation.grid import GridOptions, RollingGrid
+from dssmsg.processes import start_sheltered
 from dssmsg.recording.reader import Recording
 
 _WAITING_FRAMES = 24
@@ -76,7 +77,7 @@ class Ahead:
         context = get_context("spawn")
         self._results, sender = context.Pipe(duplex=False)
         self._process = context.Process(target=_work, args=(task, sender), name="dssmsg-ahead", daemon=True)
-        self._process.start()
+        start_sheltered(self._process)
         sender.close()  # only the helper holds that end now: it is told apart from a slow one when it dies
         self._latest: Ready | None = None
         self._ended = False

@@ -12,7 +12,6 @@ import io
 import math
 import pickle
 import queue
-import signal
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 from dssmsg.errors import StorageError
 from dssmsg.events import Event, FrameCaptured, TruthSeen
 from dssmsg.frame import MaskArray, TruthObject
+from dssmsg.processes import start_sheltered
 from dssmsg.recording.lazy_frame import Elsewhere, LazyFrame, LazyTruth
 from dssmsg.recording.writing import Settings, ends_a_run, keep_writing
 
@@ -54,7 +54,7 @@ class WriterProcess:
         self._process = context.Process(
             target=_serve, args=(settings, theirs), name="dssmsg-writer", daemon=True
         )
-        self._process.start()
+        start_sheltered(self._process)
         theirs.close()
 
     def tell(self, event: Event) -> None:
@@ -155,7 +155,6 @@ _CROSSING: dict[type, Callable[[Any], Any]] = {
 
 
 def _serve(settings: Settings, pipe: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the mission's, which then tells the end
     import dssmsg.recording.writer  # noqa: F401 - takes a second: while the mission is put together
 
     waiting: queue.Queue[bytes] = queue.Queue(settings.queue_size)
