@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,8 @@ from dssmsg_plugins.observer import jsonl, progress, rerun
 from recorded_run import SyntheticRun, context
 
 from dssmsg.errors import InputError, StorageError
+from dssmsg.events import Detected
+from dssmsg.frame import Detection
 from dssmsg.graph.compare import same
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.writer import RecordingWriter
@@ -56,11 +59,12 @@ from recorded_run import SyntheticRun, context
 from dssmsg_plugins.observer.rerun import Config, RerunObserver
 
 run = SyntheticRun(40)
-observer = RerunObserver(Config(process=True, flush_secs=0.2), context(Path(sys.argv[1])))
+observer = RerunObserver(Config(process=True, flush_secs=2.0), context(Path(sys.argv[1])))
 observer.on_event(run.started())
 for index in range(run.frames):
     for event in run.frame_events(index):
         observer.on_event(event)
+time.sleep(1.0)  # sent, and not flushed yet
 print("told", flush=True)
 time.sleep(60)
 """
@@ -135,6 +139,34 @@ def test_thread_and_process_write_the_same(tmp_path: Path) -> None:
         found.append((rows, images, seen))
     assert found[0] == found[1]
     assert len(found[0][1]) == 20
+
+
+def test_values_of_a_strangers_types_reach_the_writers_process(tmp_path: Path) -> None:
+    """The file they are defined in is loaded in the mission's process alone."""
+
+    class Word(str):
+        __slots__ = ()
+
+    @dataclass(frozen=True, slots=True, eq=False)
+    class Mine(Detection):
+        distance: float = 1.0
+
+    Word.__module__ = Mine.__module__ = "a_strangers_file"
+    run = SyntheticRun(3)
+    observer = rerun.RerunObserver(rerun.Config(process=True), context(tmp_path))
+    told = 0
+    for event in run.events():
+        if isinstance(event, Detected) and event.detections:
+            plain = event.detections[0]
+            values = {field.name: getattr(plain, field.name) for field in fields(Detection)}
+            event = replace(event, detections=(Mine(**{**values, "label": Word("thing")}),))
+            told += 1
+        observer.on_event(event)
+    observer.close()
+    assert told
+    with Recording.open(Path(observer.outputs()["recording"])) as recording:
+        seen = [recording.detections(index) for index in recording.key_frames]
+    assert [[one.label for one in found] for found in seen if found] == [["thing"]] * told
 
 
 def test_a_writer_whose_process_was_killed_is_missed(tmp_path: Path) -> None:

@@ -6,11 +6,13 @@ import gzip
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from recorded_run import SyntheticRun, record
 
@@ -20,7 +22,7 @@ from dssmsg.graph import codec
 from dssmsg.graph.compare import same
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import blob_column, migrations, rows, schema, snapshots
-from dssmsg.recording.chunk_index import ChunkIndex
+from dssmsg.recording.chunk_index import ChunkIndex, Place
 from dssmsg.recording.reader import Recording, newest
 from dssmsg.recording.writer import RecordingWriter
 from dssmsg.review.summary import summarize
@@ -424,6 +426,36 @@ def test_a_late_image_is_read_without_those_before_it(path: Path, monkeypatch: p
         assert len(read) == 2  # the colours
         assert recording.encoded_images(FRAMES) is None
         assert len(read) == 2
+
+
+def test_a_damaged_chunk_is_missed_only_where_it_is_asked_for() -> None:
+    places = [Place(number, 0, 10, number, number) for number in range(8)]
+    asked: list[int] = []
+    cells = pa.list_(pa.list_(pa.uint8()))
+    columns = pa.schema(
+        [
+            pa.field(schema.FRAME, pa.int64()),
+            pa.field("blob", cells, metadata={"rerun:component": "X:blob"}),
+        ]
+    )
+
+    def read(wanted: Sequence[Place]) -> list[pa.RecordBatch]:
+        asked.append(len(wanted))
+        if any(place.number == 5 for place in wanted):
+            raise InputError("damaged")
+        return [
+            pa.record_batch([pa.array([one.first]), pa.array([[[one.number]]], cells)], schema=columns)
+            for one in wanted
+        ]
+
+    blobs = blob_column.IndexedBlobs(places, "X:blob", read)
+    for number in range(8):
+        if number == 5:
+            with pytest.raises(InputError, match="damaged"):
+                blobs[number]
+        else:
+            assert blobs[number] == bytes([number])
+    assert max(asked) > 1  # some were read beforehand
 
 
 def test_a_foreign_recording_is_refused(tmp_path: Path) -> None:

@@ -149,6 +149,47 @@ def test_a_second_process_changes_nothing_also_where_it_is_killed(
 
 
 @needs_open3d
+def test_what_was_lifted_is_recorded_and_not_searched_for_again(
+    den: Project, original: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Recording.open(original) as a:
+        kept = {index: a.kept(index) for index in a.key_frames}
+    assert all(one is not None for one in kept.values())
+    assert any(kept.values())
+
+    def searched(*_: object) -> None:
+        raise AssertionError("clusters were searched for")
+
+    monkeypatch.setattr("dssmsg.lift.density_clusters", searched)
+    _, path = replay(den, original)
+    with Recording.open(original) as a, Recording.open(path) as b:
+        assert list(b.change_rows()) == list(a.change_rows())
+        for index, masks in kept.items():
+            again = b.kept(index)
+            assert again is not None
+            assert masks is not None
+            assert {name: one.tolist() for name, one in again.items()} == {
+                name: one.tolist() for name, one in masks.items()
+            }
+
+
+@needs_open3d
+def test_the_user_says_whether_another_process_writes(
+    original: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(*sets: str) -> object:
+        with Recording.open(original) as recording:
+            made = plan_replay(recording, sets=sets, environment={}, processes=True)
+        return made.config.recording.observers["rerun"].options.get("process")
+
+    assert asked() is None  # too little to do
+    monkeypatch.setattr("dssmsg.mission.replay_config._WORTH_A_PROCESS", 10)
+    assert asked() is True
+    assert asked("recording.observers.rerun.process=false") is False
+    assert asked("mission.max_frames=3") is None
+
+
+@needs_open3d
 def test_another_threshold_gives_another_map_and_diff_says_why(
     den: Project, original: Path, again: tuple[Outcome, Path]
 ) -> None:

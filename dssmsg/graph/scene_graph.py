@@ -51,6 +51,8 @@ class SceneGraph:
             "viewpoint": self._viewpoints,
         }
         self._adjacent: defaultdict[str, set[EdgeKey]] = defaultdict(set)
+        self._in_order: dict[str, list[EdgeKey]] = {}
+        """Adjacent edges in order of creation, until another one comes or goes."""
         self._places: defaultdict[str, set[str]] = defaultdict(set)
         self._boxes = BoxIndex()
         self._cameras = PointIndex()
@@ -210,7 +212,11 @@ class SceneGraph:
 
     def edges_of(self, node_id: str, kind: str | None = None) -> Iterator[Edge]:
         """Edges that touch a node (or a viewpoint), in order of creation."""
-        keys = sorted(self._adjacent.get(node_id, ()), key=self._edges.rank)
+        keys = self._in_order.get(node_id)
+        if keys is None:
+            keys = sorted(self._adjacent.get(node_id, ()), key=self._edges.rank)
+            if keys:
+                self._in_order[node_id] = keys
         return (self._edges.rows[key] for key in keys if kind is None or key[0] == kind)
 
     def history_of(self, object_id: str) -> Iterator[HistoryNode]:
@@ -274,8 +280,10 @@ class SceneGraph:
         else:
             self._cameras.set(viewpoint_id, new.world_from_camera[:3, 3])
 
-    def _index_edge(self, key: EdgeKey, _old: Edge | None, new: Edge | None) -> None:
+    def _index_edge(self, key: EdgeKey, old: Edge | None, new: Edge | None) -> None:
         for end in key[1:]:
+            if old is None or new is None:
+                self._in_order.pop(end, None)
             if new is not None:
                 self._adjacent[end].add(key)
                 continue

@@ -239,7 +239,7 @@ def _helper(config: RunConfig, recording: Recording) -> Ahead | None:
     """A process that goes ahead, unless there is too little to do or no core to do it on."""
     camera, noise = recording.camera(), recording.facts["source"]["depth_noise_m"]
     indices = _in_order(recording)[: config.mission.max_frames]
-    if camera is None or not worth_a_process(recording):
+    if camera is None or not worth_a_process(recording, config):
         return None
     driven = frozenset(
         index

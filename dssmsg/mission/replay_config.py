@@ -86,8 +86,8 @@ def plan_replay(
     )
     reuses_answers = not any("llm" in layer.data for layer in own)
     top = _top_layer(recording, before, asked, reuses_detections, reuses_answers)
-    if processes and worth_a_process(recording) and "recording" in top.data:
-        top.data["recording"]["observers"]["rerun"]["process"] = True
+    if processes and worth_a_process(recording, asked):
+        _write_apart(top, asked)
     layers = [*base, *own, top]
     config = make_config(layers, file=file)
     _refuse_recorded_code(config, layers, label)
@@ -146,9 +146,17 @@ def recorded_layer(recording: Recording, label: str) -> Layer:
     return Layer(label, {key: recorded[key] for key in _TAKEN if key in recorded})
 
 
-def worth_a_process(recording: Recording) -> bool:
+def worth_a_process(recording: Recording, config: RunConfig) -> bool:
     """Whether there is a core for another process, and enough to do for it."""
-    return len(recording.readable_frame_indices) >= _WORTH_A_PROCESS and (os.cpu_count() or 1) >= 2
+    frames = min(len(recording.readable_frame_indices), config.mission.max_frames)
+    return frames >= _WORTH_A_PROCESS and (os.cpu_count() or 1) >= 2
+
+
+def _write_apart(top: Layer, asked: RunConfig) -> None:
+    """Have a process of its own write the recording, unless the user said whether to."""
+    rerun = asked.recording.observers.get("rerun")
+    if rerun is not None and "process" not in rerun.options and "recording" in top.data:
+        top.data["recording"]["observers"]["rerun"]["process"] = True
 
 
 def recorded_slot(path: Path, use: str = "recorded", **options: Any) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 
 import pyarrow as pa
 
+from dssmsg.errors import InputError
 from dssmsg.recording.chunk_index import Place
 from dssmsg.recording.columns import component_of
 from dssmsg.recording.schema import FRAME
@@ -171,7 +172,14 @@ class IndexedBlobs(BlobColumn[int]):
 
     def _rows_of(self, place: Place) -> Mapping[int, int]:
         asked = self._with_next(place)
-        for batch in self._read_places(asked):
+        try:
+            batches = self._read_places(asked)
+        except InputError:
+            if len(asked) == 1:
+                raise
+            asked = [place]  # what is damaged may be one that nobody asked for
+            batches = self._read_places(asked)
+        for batch in batches:
             frames = self._keys(batch)
             # A chunk bears no number: it is known by its frames, and by these alone where only one was read.
             span = (min(frames), max(frames)) if frames else None

@@ -127,11 +127,13 @@ def decode_masks(data: bytes, shape: tuple[int, int, int]) -> MaskArray:
 
 def encode_bits(flags: Sequence[MaskArray]) -> bytes:
     """Flags (N,) of several lengths as deflated bits, one after the other."""
-    return zlib.compress(np.packbits(np.concatenate(flags)).data, _FAST)
+    return zlib.compress(np.packbits(np.concatenate(flags)).data, _FAST) if flags else b""
 
 
 def decode_bits(data: bytes, sizes: Sequence[int]) -> list[MaskArray]:
     """The flags, given how many there are of each. Raises ValueError or zlib.error for other bytes."""
+    if not sizes:
+        return []
     total = sum(sizes)
     if min(sizes) < 0 or total > _MAX_PIXELS:
         raise ValueError(f"expected at most {_MAX_PIXELS} flags, got {total}")

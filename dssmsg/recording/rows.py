@@ -93,8 +93,6 @@ def detections_row(event: events.Detected) -> tuple[Row, dict[str, bytes]]:
     masks, shape = encode_masks([detection.mask for detection in detections])
     kept = [event.kept.get(observation.detection_index) for observation in event.observations]
     known = [voxels for voxels in kept if voxels is not None]
-    if len(known) < len(kept):
-        known = []  # a part of it is of no use
     row = {
         "labels": [detection.label for detection in detections],
         "scores": [detection.score for detection in detections],
@@ -116,19 +114,18 @@ def detections_row(event: events.Detected) -> tuple[Row, dict[str, bytes]]:
                 for observation in event.observations
             ]
         ),
-        "voxels": [len(voxels) for voxels in known],
-        "kept": encode_bits(known) if known else None,
+        "voxels": [len(voxels) for voxels in known],  # of all, or it is of no use
+        "kept": encode_bits(known) if len(known) == len(kept) else None,
     }
     return row, blobs
 
 
 def kept_from_row(row: Mapping[str, Any]) -> dict[int, MaskArray] | None:
     """What was kept of each lifted detection, by its index; None where the row does not say."""
-    lifted = [one["detection"] for one in json.loads(row["observations"] or "[]")]
-    sizes = row["voxels"]
-    if len(sizes) != len(lifted):
+    if row["kept"] is None:
         return None
-    return dict(zip(lifted, decode_bits(row["kept"], sizes), strict=True)) if sizes else {}
+    lifted = [one["detection"] for one in json.loads(row["observations"])]
+    return dict(zip(lifted, decode_bits(row["kept"], row["voxels"]), strict=True))
 
 
 def detections_from_row(row: Mapping[str, Any], masks: Any, features: Mapping[str, bytes]) -> list[Detection]:

@@ -2,12 +2,11 @@
 
 Python runs one thread at a time, so a writer on a thread costs the mission what it works. Worth the start of
 a process where the mission is short of time, as in a replay. Where the recorded images are copied, frames
-cross without them. If the mission's process is killed, what was told until then is still written.
+cross without them. If the mission's process is killed, what was sent until then is still written.
 """
 
 from __future__ import annotations
 
-import copyreg
 import io
 import math
 import pickle
@@ -15,7 +14,7 @@ import queue
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from types import MappingProxyType
@@ -27,28 +26,29 @@ from numpy.typing import NDArray
 from dssmsg.errors import StorageError
 from dssmsg.events import Event, FrameCaptured, TruthSeen
 from dssmsg.frame import MaskArray, TruthObject
-from dssmsg.processes import start_sheltered
+from dssmsg.processes import leave_group, start_sheltered
 from dssmsg.recording.lazy_frame import Elsewhere, LazyFrame, LazyTruth
-from dssmsg.recording.writing import Settings, ends_a_run, keep_writing
+from dssmsg.recording.writing import Settings, ends_a_run
 
 _END = b""
+_FLUSH = b"flush"
 _DONE = "done"
 _SAME: Any = "same"
 """Stands for the objects of the truth before."""
 
 
-class WriterProcess:
-    """Starts the process at once, which makes the file when it is first told something.
+class FarWriter:
+    """A `RecordingWriter` in another process, which is started at once and makes the file on the first event.
 
-    The process imports the program's main module, which must do nothing when it is imported.
+    Used by one thread, not the main one: an interrupt must not tear a message. Every method raises what
+    stopped the writer there, StorageError where its process ended. The process imports the program's main
+    module, which must do nothing when it is imported.
     """
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._failure: Exception | None = None
-        self._closed = False
         self._objects: Sequence[TruthObject] | None = None
-        self._sending = threading.Lock()  # a hung mission is closed by its watchdog
+        self._ending = False
         context = get_context("spawn")  # not forked: Rerun holds threads
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
@@ -57,27 +57,29 @@ class WriterProcess:
         start_sheltered(self._process)
         theirs.close()
 
-    def tell(self, event: Event) -> None:
+    def write(self, event: Event) -> None:
         """Send an event; waits where the writer is far behind."""
-        self._raise_failure()
         if self._pipe.poll():  # it speaks unasked only of a failure
             self._receive()
+        self._ending = ends_a_run(event)
         self._send(_packed(self._bare(event) if self._settings.copied else event))
-        if ends_a_run(event):
+
+    def flush(self) -> None:
+        """Have everything sent so far brought into the file; waits for it where that was the end of a run."""
+        self._send(_FLUSH)
+        if self._ending:
             self._receive()
 
     def close(self) -> None:
-        """Have everything written and the file closed, and the process ended."""
-        if not self._closed:
-            self._closed = True
-            try:
-                if self._failure is None:
-                    self._send(_END)
-                    self._receive()
-            finally:
-                self._pipe.close()
-                self._process.join()
-        self._raise_failure()
+        """Have the rest written and the file closed, and end the process; safe to call twice."""
+        if self._pipe.closed:
+            return
+        try:
+            self._send(_END)
+            self._receive()
+        finally:
+            self._pipe.close()
+            self._process.join()
 
     def _bare(self, event: Event) -> Event:
         """An event without images, and without truths' objects that are those of the truth before."""
@@ -91,8 +93,7 @@ class WriterProcess:
 
     def _send(self, data: bytes) -> None:
         try:
-            with self._sending:
-                self._pipe.send_bytes(data)
+            self._pipe.send_bytes(data)
         except OSError:
             self._receive()  # why it listens no more
 
@@ -102,31 +103,62 @@ class WriterProcess:
             kind, message, trace = self._pipe.recv()
         except (EOFError, OSError):
             kind, message, trace = StorageError.kind, "the process that writes it was ended", ""
-        if kind == _DONE:
-            return
         if kind == StorageError.kind:
-            self._failure = StorageError(message, file=self._settings.path)
-        else:
-            self._failure = RuntimeError(f"{kind}: {message}\n{trace}")
-        self._raise_failure()
+            raise StorageError(message, file=self._settings.path)
+        if kind != _DONE:
+            raise RuntimeError(f"{kind}: {message}\n{trace}")
 
-    def _raise_failure(self) -> None:
-        if self._failure is not None:
-            raise self._failure
+
+# How events cross.
+
+
+class _Pickler(pickle.Pickler):
+    """Values of a stranger's types cross as what they are to us: the writer's process has not loaded them."""
+
+    def reducer_override(self, value: Any) -> Any:
+        kind = type(value)
+        reduce = _CROSSING.get(kind)
+        if reduce is not None:
+            return reduce(value)
+        return NotImplemented if kind.__module__.partition(".")[0] in _KNOWN else _as_known(value)
+
+
+_KNOWN = frozenset({"builtins", "collections", "dssmsg", "dssmsg_plugins", "numpy", "pathlib", "types"})
+"""Top-level modules that the writer's process can import."""
+
+
+_PLAIN: dict[type, Callable[[Any], Any]] = {
+    str: str.__str__,
+    int: int.__int__,
+    float: float.__float__,
+    bytes: bytes,
+    tuple: tuple,
+    list: list,
+    dict: dict,
+}
 
 
 def _packed(event: Event) -> bytes:
     buffer = io.BytesIO()
-    pickler = pickle.Pickler(buffer, pickle.HIGHEST_PROTOCOL)
-    pickler.dispatch_table = _CROSSING
-    pickler.dump(event)
+    _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(event)
     return buffer.getvalue()
+
+
+def _as_known(value: Any) -> Any:
+    """A value as one of the nearest class that it inherits from and that is known."""
+    for kind in type(value).__mro__[1:]:
+        if is_dataclass(kind) and kind.__module__.partition(".")[0] in _KNOWN:
+            return kind, tuple(getattr(value, field.name) for field in fields(kind))
+    for base, plain in _PLAIN.items():
+        if isinstance(value, base):
+            return base, (plain(value),)
+    return NotImplemented
 
 
 def _array(values: NDArray[Any]) -> Any:
     """Masks are most of what crosses: as bits."""
     if values.dtype != np.bool_:
-        return values.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+        return NotImplemented
     return _unpacked, (np.packbits(values).tobytes(), values.shape)
 
 
@@ -143,25 +175,22 @@ def _read_only(values: dict[Any, Any]) -> Mapping[Any, Any]:
     return MappingProxyType(values)
 
 
-_CROSSING: dict[type, Callable[[Any], Any]] = {
-    **copyreg.dispatch_table,
-    np.ndarray: _array,
-    MappingProxyType: _mapping,
-}
-"""How values cross to the writer's process that do so badly, or not at all, as they are."""
+_CROSSING: dict[type, Callable[[Any], Any]] = {np.ndarray: _array, MappingProxyType: _mapping}
+"""How values cross that do so badly, or not at all, as they are."""
 
 
 # The writer's side.
 
 
 def _serve(settings: Settings, pipe: Connection) -> None:
+    leave_group()
     import dssmsg.recording.writer  # noqa: F401 - takes a second: while the mission is put together
 
     waiting: queue.Queue[bytes] = queue.Queue(settings.queue_size)
     threading.Thread(target=_listen, args=(pipe, waiting), daemon=True).start()
     try:
         first = waiting.get()
-        if first:
+        if first != _END:
             _write(settings, pipe, first, waiting)
         answer = (_DONE, "", "")
     except StorageError as error:
@@ -174,25 +203,27 @@ def _serve(settings: Settings, pipe: Connection) -> None:
         return  # nobody listens any more
 
 
-def _write(settings: Settings, pipe: Connection, first: bytes, waiting: queue.Queue[bytes]) -> None:
-    began = [first]
+def _write(settings: Settings, pipe: Connection, data: bytes, waiting: queue.Queue[bytes]) -> None:
+    writer = settings.writer()
     objects: Sequence[TruthObject] = ()
-
-    def take(seconds: float) -> Event | None:
-        nonlocal objects
-        data = began.pop() if began else waiting.get(timeout=seconds)
-        event: Event | None = pickle.loads(data) if data else None
-        if isinstance(event, TruthSeen):
-            if event.truth.objects == _SAME:
-                event = replace(event, truth=LazyTruth(Elsewhere(), tuple(objects)))
-            objects = event.truth.objects
-        return event
-
-    def done(event: Event) -> None:
-        if ends_a_run(event):
-            pipe.send((_DONE, "", ""))
-
-    keep_writing(settings.writer(), take, done, settings.flush_secs)
+    ending = False
+    try:
+        while data != _END:
+            if data == _FLUSH:
+                writer.flush()
+                if ending:
+                    pipe.send((_DONE, "", ""))
+            else:
+                event: Event = pickle.loads(data)
+                if isinstance(event, TruthSeen):
+                    if event.truth.objects == _SAME:
+                        event = replace(event, truth=LazyTruth(Elsewhere(), tuple(objects)))
+                    objects = event.truth.objects
+                ending = ends_a_run(event)
+                writer.write(event)
+            data = waiting.get()
+    finally:
+        writer.close()
 
 
 def _listen(pipe: Connection, waiting: queue.Queue[bytes]) -> None:

@@ -2,7 +2,7 @@
 
 The mission waits while the queue is full, and nothing is dropped. What is written is flushed every so often,
 whether or not anything was told: after `kill -9` the file lacks at most what was told since the last flush,
-and what waited in the queue. `writer_process` does the same in another process.
+and what waited in the queue. The thread writes itself, or has another process write (`writer_process`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -49,15 +48,19 @@ class Settings:
         )
 
 
-class Writing(Protocol):
-    """The mission's side of a writer. Every method raises what stopped the writer, if anything did."""
+class Writer(Protocol):
+    """A `RecordingWriter`, or one that is elsewhere."""
 
-    def tell(self, event: Event) -> None:
-        """Hand an event over; when a run is over, wait until it is in the file."""
+    def write(self, event: Event) -> None:
+        """Take an event into the next flush."""
+        ...
+
+    def flush(self) -> None:
+        """Bring everything told so far into the file; when a run is over, it is there afterwards."""
         ...
 
     def close(self) -> None:
-        """Write what is waiting and close the file, which then has no index yet."""
+        """Flush, and close the file, which then has no index yet."""
         ...
 
 
@@ -66,53 +69,20 @@ def ends_a_run(event: Event) -> bool:
     return isinstance(event, RunFinished) or (isinstance(event, ErrorOccurred) and event.fatal)
 
 
-def keep_writing(
-    writer: RecordingWriter,
-    take: Callable[[float], Event | None],
-    done: Callable[[Event], None],
-    flush_secs: float,
-) -> None:
-    """Write events until there are no more, then close the writer, also where one could not be written.
-
-    `take` gives the next event, or None at the end, and raises `queue.Empty` where none came within so many
-    seconds; `done` is told of each event once it is written.
-    """
-    due = time.monotonic() + flush_secs
-    try:
-        while True:
-            try:
-                event = take(max(0.0, due - time.monotonic()))
-            except queue.Empty:
-                writer.flush()
-                due = time.monotonic() + flush_secs
-                continue
-            if event is None:
-                break
-            try:
-                writer.write(event)
-                if time.monotonic() >= due or isinstance(event, ErrorOccurred | RunFinished):
-                    writer.flush()
-                    due = time.monotonic() + flush_secs
-            finally:
-                done(event)
-    finally:
-        writer.close()
-
-
 class WriterThread:
-    """Writes on a thread of this process."""
+    """Hands events to a writer. Every method raises what stopped it, if anything did."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, writer: Writer, settings: Settings) -> None:
+        self._writer = writer
+        self._flush_secs = settings.flush_secs
         self._queue: queue.Queue[Event | None] = queue.Queue(settings.queue_size)
         self._failure: BaseException | None = None
         self._closed = False
-        self._thread = threading.Thread(
-            target=self._work, args=(settings.writer(), settings.flush_secs), name="rerun-writer", daemon=True
-        )
+        self._thread = threading.Thread(target=self._work, name="rerun-writer", daemon=True)
         self._thread.start()
 
     def tell(self, event: Event) -> None:
-        """Queue an event; waits while the queue is full."""
+        """Queue an event, waiting while the queue is full; at the end of a run wait until it is written."""
         self._raise_failure()
         self._queue.put(event)
         if ends_a_run(event):
@@ -120,7 +90,7 @@ class WriterThread:
             self._raise_failure()
 
     def close(self) -> None:
-        """Write what is queued, and close the file."""
+        """Write what is queued, and close the writer."""
         if not self._closed:
             self._closed = True
             self._queue.put(None)
@@ -131,17 +101,36 @@ class WriterThread:
         if self._failure is not None:
             raise self._failure
 
-    def _work(self, writer: RecordingWriter, flush_secs: float) -> None:
+    def _work(self) -> None:
         try:
-            keep_writing(
-                writer,
-                lambda seconds: self._queue.get(timeout=seconds),
-                lambda _event: self._queue.task_done(),
-                flush_secs,
-            )
+            self._write_events()
         except BaseException as error:
             self._failure = error
+        try:
+            self._writer.close()
+        except BaseException as error:
+            self._failure = self._failure or error
+        if self._failure is not None:
             self._drain()
+
+    def _write_events(self) -> None:
+        due = time.monotonic() + self._flush_secs
+        while True:
+            try:
+                event = self._queue.get(timeout=max(0.0, due - time.monotonic()))
+            except queue.Empty:
+                event = _TICK
+            if event is None:
+                return
+            try:
+                if event is not _TICK:
+                    self._writer.write(event)
+                if time.monotonic() >= due or isinstance(event, ErrorOccurred | RunFinished):
+                    self._writer.flush()
+                    due = time.monotonic() + self._flush_secs
+            finally:
+                if event is not _TICK:
+                    self._queue.task_done()
 
     def _drain(self) -> None:
         """Nobody may wait for ever for a writer that has stopped."""
@@ -151,3 +140,6 @@ class WriterThread:
             except queue.Empty:
                 continue
             self._queue.task_done()
+
+
+_TICK: Event = object()  # type: ignore[assignment]

@@ -12,8 +12,8 @@ from pydantic import Field
 
 from dssmsg.errors import StorageError
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
-from dssmsg.recording.writer_process import WriterProcess
-from dssmsg.recording.writing import Settings, WriterThread, Writing
+from dssmsg.recording.writer_process import FarWriter
+from dssmsg.recording.writing import Settings, WriterThread
 
 if TYPE_CHECKING:
     from dssmsg.events import Event
@@ -66,8 +66,8 @@ class RerunObserver:
         )
         self._log = context.log
         # A process takes a second until it can write, so it is started before there is anything to write.
-        self._writing: Writing | None = WriterProcess(self._settings) if config.process else None
-        self._told = False
+        self._far = FarWriter(self._settings) if config.process else None
+        self._thread: WriterThread | None = None
         self._closed = False
 
     def on_event(self, event: Event) -> None:
@@ -75,17 +75,18 @@ class RerunObserver:
 
         The file is created on the first event, so that a run that never begins leaves none.
         """
-        if self._writing is None:
-            self._writing = WriterThread(self._settings)
-        self._told = True
-        self._writing.tell(event)
+        if self._thread is None:
+            self._thread = WriterThread(self._far or self._settings.writer(), self._settings)
+        self._thread.tell(event)
 
     def close(self) -> None:
         """Write what is queued, and compact the file. Raises StorageError if writing failed."""
-        if self._writing is None:
+        if self._thread is None:
+            if self._far is not None:
+                self._far.close()
             return
-        self._writing.close()
-        if self._closed or not self._told:
+        self._thread.close()
+        if self._closed:
             return
         self._closed = True
         from dssmsg.recording.repair import optimize
@@ -97,7 +98,7 @@ class RerunObserver:
 
     def outputs(self) -> dict[str, str]:
         """`recording`: the file, once there is one."""
-        return {"recording": str(self._settings.path)} if self._told else {}
+        return {"recording": str(self._settings.path)} if self._thread is not None else {}
 
 
 @hookimpl
