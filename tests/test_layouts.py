@@ -108,8 +108,7 @@ def test_what_the_best_candidate_matched_is_boxed_and_named(run: Asked) -> None:
     event = ev.Matched("a place to wash up", 20, 4.0, TARGET, CANDIDATES)
     look = match_log.matched_look(event, run.live)
     labels = look.labels.as_arrow_array().to_pylist()
-    assert [label.partition(" object")[0] for label in labels] == ["sink:", "oven:"]
-    assert "object-1" in labels[0]
+    assert [label.partition(":")[0] for label in labels] == ["sink", "oven"]
     gone = ev.Matched(
         "x", 0, 0.0, TARGET, (ev.Candidate("v", 1, {}, {"0": "object-999", "a": "object-1"}, ""),)
     )

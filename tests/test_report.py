@@ -20,7 +20,7 @@ from dssmsg.graph import changes as ch
 from dssmsg.recording.reader import Recording
 from dssmsg.review import report_markup as html
 from dssmsg.review.report import report_page
-from dssmsg.review.report_map import floor_map
+from dssmsg.review.report_map import Spot, floor_map
 from dssmsg.review.report_pictures import spread
 from dssmsg.review.report_plots import MAX_POINTS, line_plot, nice_ticks, thinned
 
@@ -154,7 +154,9 @@ def test_maps_leave_out_what_cannot_be() -> None:
     nowhere = np.array([np.nan, 0.0, 0.0])
     far = np.array([1e9, 0.0, 0.0])
     drawn = floor_map(
-        run.live, {0: [np.zeros(3), nowhere, far, np.ones(3)]}, [(nowhere, "here"), (np.ones(3), "x")]
+        run.live,
+        {0: [np.zeros(3), nowhere, far, np.ones(3)]},
+        [Spot(nowhere, "here", False), Spot(np.ones(3), "x", True)],
     )
     assert "nan" not in drawn
     assert max(float(number) for number in re.findall(r'x="([-\d.]+)"', drawn)) < 5000

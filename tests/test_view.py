@@ -102,7 +102,7 @@ def test_the_layout_of_the_file_unless_another_is_asked_for(
     assert main(["view", str(path)]) == 0
     assert main(["view", str(path), "--layout", "navigation"]) == 0
     assert layouts == ["dynamics", "navigation"]
-    assert opened == [["run.rrd"], ("shown", True, None), "stopped"] * 2
+    assert opened == [["run.rrd"], ("shown", True, 11), "stopped"] * 2
 
 
 def test_json_says_what_is_open(path: Path, opened: list[Any], capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,7 +129,7 @@ def test_focus_opens_where_the_object_was_judged_last(path: Path, opened: list[A
     assert opened[1] == ("shown", True, 3)
     opened.clear()
     assert main(["view", str(path), "--focus", "waypoint-1"]) == 0
-    assert opened == [["run.rrd", "focus.rrd"], ("shown", True, None), "stopped"]
+    assert opened == [["run.rrd", "focus.rrd"], ("shown", True, 11), "stopped"]
 
 
 def test_a_page_opens_at_a_time(

@@ -118,9 +118,10 @@ def open_viewer(
             additions.append(Path(folder) / "focus.rrd")
             save_focus(additions[0], opened.facts["run_id"], graph, focus, _page(opened, graph, focus))
         page = None
+        if frame is None:
+            frame = max(opened.frame_indices, default=0)
         if web:
-            last = max(opened.frame_indices, default=0)
-            viewer, page = _serve(opened.readable_path, shown, additions, last if frame is None else frame)
+            viewer, page = _serve(opened.readable_path, shown, additions, frame)
         else:
             viewer = Viewer.start([opened.readable_path, *additions])
         try:
@@ -168,6 +169,7 @@ def _open_comparison(
 ) -> None:
     """Show two runs side by side, as the file itself says. Raises ConfigError for what only one run has."""
     from dssmsg.errors import ConfigError
+    from dssmsg.recording.comparison import last_frame
     from dssmsg.recording.viewer import Viewer
 
     if layout not in (None, Layout.COMPARISON.value):
@@ -182,7 +184,7 @@ def _open_comparison(
         viewer, page = Viewer.serve([path])
     else:
         viewer = Viewer.start([path])
-    shown = int(frame) if frame and not web else None
+    shown = None if web else int(frame) if frame else last_frame(path)
     try:
         if shown is not None:
             viewer.show(frame=shown)

@@ -81,7 +81,7 @@ def navigation_layout(eye: Eye | None) -> Layout:
     """The way of the robot: its plan in the scene and in the topology, what it saw, and what it was doing."""
     return rrb.Vertical(
         rrb.Horizontal(
-            views.world_view(eye),
+            views.world_view(eye, way=True),
             rrb.Vertical(views.camera_view(), views.depth_view()),
             views.topology_view(),
             column_shares=[5, 3, 4],

@@ -59,6 +59,11 @@ class ChunkIndex:
         whole = set(batch.schema.names).issuperset(_COLUMNS)
         return cls(path, batch) if whole and batch.num_rows else None
 
+    @property
+    def last_frame(self) -> int | None:
+        """The last frame of any chunk."""
+        return max((place.last for places in self._places.values() for place in places), default=None)
+
     def places(self, entity: str) -> Sequence[Place]:
         """The chunks of an entity that have times."""
         return self._places.get(entity, ())

@@ -24,6 +24,7 @@ from dssmsg.recording.messages import MessageFile
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.repair import optimize
 from dssmsg.recording.scene_log import SceneLog
+from dssmsg.recording.store import ChunkFile
 from dssmsg.recording.views import Eye
 
 APPLICATION_ID = "dssmsg-comparison"
@@ -203,6 +204,11 @@ def _log_marks(
     )
 
 
+def last_frame(path: Path) -> int | None:
+    """The last frame that a finished comparison shows; None where its file does not say."""
+    return ChunkFile(path, path).last_frame
+
+
 def comparison_layout(eye: Eye | None = None) -> rrb.Blueprint:
     """Both scenes (seen from `eye` at first), graphs and change logs side by side, the summary below."""
 
@@ -210,8 +216,18 @@ def comparison_layout(eye: Eye | None = None) -> rrb.Blueprint:
         return rrb.Spatial3DView(
             origin=f"/{side}{schema.WORLD}",
             name=f"{side.upper()}: scene",
-            # Not the objects' names: in half a window they cover each other and the marks.
-            contents=["+ $origin/**", f"- /{side}{schema.CAMERA}/**", f"- /{side}{schema.LABELS}"],
+            # No names of objects, places and waypoints: in half a window they cover each other and the marks.
+            contents=[
+                "+ $origin/**",
+                f"- /{side}{schema.CAMERA}/**",
+                f"- /{side}{schema.LABELS}",
+                f"- /{side}{schema.HISTORY}",
+            ],
+            overrides={
+                f"/{side}{schema.WAYPOINTS}": rr.Points3D.from_fields(
+                    show_labels=False, radii=rr.Radius.ui_points(3.0)
+                )
+            },
             background=rrb.Background(color=_BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
             line_grid=rrb.LineGrid3D(visible=True, spacing=1.0, color=(70, 75, 90, 90)),
             eye_controls=None

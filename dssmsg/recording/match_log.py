@@ -105,9 +105,7 @@ def matched_look(event: events.Matched, graph: GraphView) -> rr.Boxes3D:
             continue
         boxes.append((node.center, (node.box_max - node.box_min) / 2 + 0.04))
         asked = wanted[int(number)]["label"] if number.isdecimal() and int(number) < len(wanted) else number
-        labels.append(
-            f"{asked}: {object_id}" if asked == node.label else f"{asked}: {object_id} {node.label}"
-        )
+        labels.append(asked if asked == node.label else f"{asked}: {node.label}")
     return rr.Boxes3D(
         centers=np.array([center for center, _ in boxes], np.float32).reshape(-1, 3),
         half_sizes=np.array([half for _, half in boxes], np.float32).reshape(-1, 3),

@@ -27,6 +27,12 @@ EDGE_COLOURS: dict[str, tuple[int, ...]] = {
 }
 SEEN_NOW_COLOUR: Colour = (235, 200, 90)
 WAYPOINT_COLOUR: Colour = (90, 220, 160)
+PLOT_COLOURS: dict[str, Colour] = {
+    "objects/believed": OBJECT_CLASSES[STATIC][2],
+    "objects/tentative": (170, 175, 185),
+    "objects/waypoints": WAYPOINT_COLOUR,
+}
+"""By the path of the plot below `/plots`; the viewer chooses for the others."""
 VIEWPOINT_COLOUR: Colour = (150, 200, 175)
 ROBOT_COLOUR: Colour = (245, 245, 245)
 TRAIL_COLOUR: Colour = (250, 130, 200)

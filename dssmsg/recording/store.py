@@ -96,6 +96,11 @@ class ChunkFile:
         return IndexedBlobs(index.places(path), component, read)
 
     @cached_property
+    def last_frame(self) -> int | None:
+        """The last frame of which there is anything; None where the file's index does not say."""
+        return None if self._index is None else self._index.last_frame
+
+    @cached_property
     def _index(self) -> ChunkIndex | None:
         return ChunkIndex.of(self.path, self._store)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
+from dssmsg.graph.nodes import SEES
 from dssmsg.recording import schema
 
 _ALL_SO_FAR = rrb.VisibleTimeRanges(
@@ -27,6 +29,13 @@ _PLAN_WIDTH = 7.0
 """Points: the plan runs along path edges, just below them, and is seen on both sides of those."""
 
 
+_UNNAMED: dict[str, Any] = {
+    schema.WAYPOINTS: rr.Points3D.from_fields(show_labels=False, radii=rr.Radius.ui_points(3.0)),
+    schema.MATCHED: rr.Boxes3D.from_fields(show_labels=False),
+}
+"""Waypoints small and without numbers, which the view of the topology shows; matched things without names."""
+
+
 @dataclass(frozen=True)
 class Eye:
     """Where the 3D view looks from, and at what: (x, y, z) each, world metres."""
@@ -35,8 +44,14 @@ class Eye:
     target: tuple[float, float, float]
 
 
-def world_view(eye: Eye | None = None) -> rrb.Spatial3DView:
-    """The scene in 3D, seen from `eye` at first."""
+def world_view(eye: Eye | None = None, *, way: bool = False) -> rrb.Spatial3DView:
+    """The scene in 3D, seen from `eye` at first; `way`: without what covers the robot and its plan."""
+    overrides: dict[Any, Any] = {
+        schema.TRAIL: [rr.LineStrips3D.from_fields(), _ALL_SO_FAR],
+        schema.NAV_PATH: rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_PLAN_WIDTH)),
+    }
+    if way:
+        overrides |= _UNNAMED
     return rrb.Spatial3DView(
         origin=schema.WORLD,
         name="Scene",
@@ -46,13 +61,11 @@ def world_view(eye: Eye | None = None) -> rrb.Spatial3DView:
             f"- {schema.SEGMENTATION}/**",
             f"- {schema.BOXES}/**",
             f"- {schema.NAMES}/**",
+            *([f"- {schema.EDGES}/{SEES}"] if way else []),
         ],
         background=rrb.Background(color=(22, 24, 30), kind=rrb.BackgroundKind.SolidColor),
         line_grid=rrb.LineGrid3D(visible=True, spacing=1.0, color=(70, 75, 90, 90)),
-        overrides={
-            schema.TRAIL: [rr.LineStrips3D.from_fields(), _ALL_SO_FAR],
-            schema.NAV_PATH: rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_PLAN_WIDTH)),
-        },
+        overrides=overrides,
         eye_controls=None
         if eye is None
         else rrb.EyeControls3D(
@@ -129,7 +142,18 @@ def candidates_view() -> rrb.DataframeView:
     return rrb.DataframeView(
         origin="/match/candidates",
         name="Candidates",
-        query=rrb.archetypes.DataframeQuery(timeline=schema.ROW),
+        query=rrb.archetypes.DataframeQuery(
+            timeline=schema.ROW,
+            select=[
+                schema.ROW,
+                *(
+                    rrb.components.ComponentColumnSelector(
+                        entity_path=schema.CANDIDATES.path, component=schema.CANDIDATES.component(name)
+                    )
+                    for name in ("rank", "viewpoint", "score", "scores", "matching")
+                ),
+            ],
+        ),
     )
 
 

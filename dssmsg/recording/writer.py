@@ -105,6 +105,8 @@ class RecordingWriter:
         }
         self._scene.log_static()
         self._camera.log_static()
+        for name, colour in palette.PLOT_COLOURS.items():
+            self._book.log_now(f"{schema.PLOTS}/{name}", None, rr.SeriesLines(colors=[colour]))
         for lane in (schema.PHASE_STATE, schema.NAV_STATE):
             self._book.log_now(lane, None, palette.state_configuration())
 

@@ -16,7 +16,7 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import palette
 from dssmsg.recording.reader import Recording
 from dssmsg.review import report_markup as html
-from dssmsg.review.report_map import Trail, floor_map, state_colour
+from dssmsg.review.report_map import Spot, Trail, floor_map, state_colour
 from dssmsg.review.report_markup import Markup, tag
 from dssmsg.review.report_pictures import Sight, best_sights, crops, frame_picture, spread
 from dssmsg.review.report_plots import Point, lanes, line_plot
@@ -184,11 +184,15 @@ def episodes(recording: Recording, explanations: Mapping[int, str]) -> Markup:
     return html.joined(parts)
 
 
-def episode_marks(recording: Recording) -> list[tuple[FloatArray, str]]:
+def episode_marks(recording: Recording) -> list[Spot]:
     """Where each episode ended, for the map."""
     known = set(recording.frame_indices)
     return [
-        (recording.poses(row["frame"])[1][:3, 3], f"episode {row['episode']}: {row['outcome']}")
+        Spot(
+            recording.poses(row["frame"])[1][:3, 3],
+            f"episode {row['episode']}: {row['outcome']}",
+            row["outcome"] == "success",
+        )
         for row in recording.episodes()
         if row["frame"] in known
     ]

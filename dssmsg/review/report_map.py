@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,8 +30,17 @@ def state_colour(state: str) -> str:
     return _rgb(palette.OBJECT_CLASSES.get(state, palette.OBJECT_CLASSES["static"])[2])
 
 
-def floor_map(graph: GraphView, trail: Trail, marks: Sequence[tuple[FloatArray, str]] = ()) -> Markup:
-    """The map; `marks` are points (3,) with a word each. Nothing where there is nothing to draw."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Spot:
+    """A marked point (3,), metres, its word, and whether what happened there was meant to."""
+
+    place: FloatArray
+    word: str
+    well: bool
+
+
+def floor_map(graph: GraphView, trail: Trail, marks: Sequence[Spot] = ()) -> Markup:
+    """The map with marked points. Nothing where there is nothing to draw."""
     objects = [node for node in graph.objects.values() if node.status == BELIEVED and _sane(node.center)]
     spots = [spot for points in trail.values() for spot in points if _sane(spot)]
     spots += [node.position for node in graph.waypoints.values() if _sane(node.position)]
@@ -42,10 +52,10 @@ def floor_map(graph: GraphView, trail: Trail, marks: Sequence[tuple[FloatArray, 
     parts = [
         *(_box(frame, node) for node in sorted(objects, key=_area, reverse=True)),
         *_former_places(frame, graph),
-        *_roads(frame, graph),
         *_trail(frame, trail),
+        *_roads(frame, graph),
         *_labels(frame, objects[:MAX_LABELS]),
-        *(_mark(frame, spot, word) for spot, word in marks if _sane(spot)),
+        *(_mark(frame, spot) for spot in marks if _sane(spot.place)),
         frame.scale(),
     ]
     picture = tag("svg", joined(parts), viewBox=frame.view_box, role="img", aria_label="map from above")
@@ -239,19 +249,20 @@ def _labels(paper: _Paper, objects: Sequence[ObjectNode]) -> list[Markup]:
     return parts
 
 
-def _mark(paper: _Paper, spot: FloatArray, word: str) -> Markup:
-    x, y = paper.xy(spot)
-    star = tag("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=9, fill="none", stroke="#c93c37", stroke_width=3)
+def _mark(paper: _Paper, spot: Spot) -> Markup:
+    x, y = paper.xy(spot.place)
+    colour = "#1a7f37" if spot.well else "#c93c37"
+    star = tag("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=9, fill="none", stroke=colour, stroke_width=3)
     name = tag(
         "text",
-        text(word, 40),
+        text(spot.word, 40),
         x=f"{x:.1f}",
         y=f"{y:.1f}",
         dy=-14,
         font_size=13,
         font_weight=600,
         text_anchor="middle",
-        fill="#c93c37",
+        fill=colour,
         stroke="#fff",
         stroke_width=3,
         paint_order="stroke",
