@@ -260,7 +260,7 @@ def test_rerun_flushes_while_nothing_is_told(tmp_path: Path) -> None:
     frames = 0
     while frames == 0 and time.monotonic() < deadline:
         time.sleep(0.1)
-        with Recording.open(tmp_path / "synthetic.rrd") as recording:
+        with suppress(InputError), Recording.open(tmp_path / "synthetic.rrd") as recording:
             frames = len(recording.frame_indices)
     assert frames == 1
     observer.close()
