@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dssmsg.cli.options import JsonOption
 from dssmsg.cli.recordings import RecordingArgument, chosen
+
+if TYPE_CHECKING:
+    from dssmsg.mission.ahead import Ahead
+    from dssmsg.mission.run import RunResult
+    from dssmsg.recording.reader import Recording
 
 
 def register(app: typer.Typer) -> None:
@@ -54,33 +60,18 @@ def register(app: typer.Typer) -> None:
 
 def replay_command(recording: Path | None, sets: list[str], file: Path | None, *, as_json: bool) -> int:
     """Replay a recording (a path, or None for the newest), print the summary, and return the exit code."""
-    from dssmsg.cli.output import note, print_json, show, stdout_to_stderr
+    from dssmsg.cli.output import print_json, show, stdout_to_stderr
     from dssmsg.cli.recordings import warn_of_cuts
-    from dssmsg.mission.replay import replay_mission
-    from dssmsg.mission.replay_config import plan_replay
+    from dssmsg.mission.ahead import Ahead
+    from dssmsg.mission.replay_config import worth_processes
     from dssmsg.recording.reader import Recording
     from dssmsg.review.text import summary_text
 
     with stdout_to_stderr(), Recording.open(chosen(recording)) as opened:
         warn_of_cuts(opened)
-        plan = plan_replay(opened, file=file, sets=sets, processes=True)
-        for key in plan.left_out:
-            note(f"warning: {key} is left out: this version has no such option")
-        for key, (before, now) in plan.changed.items():
-            note(f"{key}: {before} -> {now}")
-        reused = [
-            what
-            for what, is_reused in (
-                ("detections", plan.reuses_detections),
-                ("answers of the language model", plan.reuses_answers),
-            )
-            if is_reused
-        ]
-        note(f"recorded {' and '.join(reused) or 'frames alone'} used again")
-        config = plan.config
-        if any(one.name == "progress" for one in plan.host.registrations("observer")):
-            config = config.with_defaults({"recording": {"observers": {"progress": {}}}})
-        result = replay_mission(config, plan.host, opened, ahead=True)
+        # Started before anything is put together, so that it is ready when the first frame is asked for.
+        with Ahead() if worth_processes(opened) else nullcontext() as ahead:
+            result = _replay(opened, sets, file, ahead)
     if as_json:
         print_json(result.summary)
     else:
@@ -88,3 +79,29 @@ def replay_command(recording: Path | None, sets: list[str], file: Path | None, *
         if result.summary["faster"]:
             print(f"{'replayed':<11}{result.summary['faster']} times as fast as the recorded run")
     return result.exit_code
+
+
+def _replay(recording: Recording, sets: list[str], file: Path | None, ahead: Ahead | None) -> RunResult:
+    """Put a replay together, say how it differs from the run, and carry it out."""
+    from dssmsg.cli.output import note
+    from dssmsg.mission.replay import replay_mission
+    from dssmsg.mission.replay_config import plan_replay
+
+    plan = plan_replay(recording, file=file, sets=sets, processes=ahead is not None)
+    for key in plan.left_out:
+        note(f"warning: {key} is left out: this version has no such option")
+    for key, (before, now) in plan.changed.items():
+        note(f"{key}: {before} -> {now}")
+    reused = [
+        what
+        for what, is_reused in (
+            ("detections", plan.reuses_detections),
+            ("answers of the language model", plan.reuses_answers),
+        )
+        if is_reused
+    ]
+    note(f"recorded {' and '.join(reused) or 'frames alone'} used again")
+    config = plan.config
+    if any(one.name == "progress" for one in plan.host.registrations("observer")):
+        config = config.with_defaults({"recording": {"observers": {"progress": {}}}})
+    return replay_mission(config, plan.host, recording, ahead=ahead)

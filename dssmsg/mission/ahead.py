@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,17 +71,32 @@ class Task:
 
 
 class Ahead:
-    """The helper, seen from the replay. Ask for the frames in the order of the task; close it at the end."""
+    """The helper, seen from the replay: `begin` its task, and ask for the frames in that order.
 
-    def __init__(self, task: Task) -> None:
+    It is started at once, for it takes a second until it can work: while the replay is put together. Used by
+    `with`, which ends it. It imports the program's main module, which must do nothing when it is imported.
+    """
+
+    def __init__(self) -> None:
         # Not forked: Rerun holds threads.
         context = get_context("spawn")
-        self._results, sender = context.Pipe(duplex=False)
-        self._process = context.Process(target=_work, args=(task, sender), name="dssmsg-ahead", daemon=True)
+        self._results, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs,), name="dssmsg-ahead", daemon=True)
         start_sheltered(self._process)
-        sender.close()  # only the helper holds that end now: it is told apart from a slow one when it dies
+        theirs.close()  # only the helper holds that end now: it is told apart from a slow one when it dies
         self._latest: Ready | None = None
         self._ended = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def begin(self, task: Task) -> None:
+        """Set the helper to work."""
+        with suppress(OSError):  # it has ended: the replay does the work
+            self._results.send(task)
 
     def take(self, index: int) -> Ready | None:
         """What is ready of a frame; waits for it. None from the first frame on of which there is nothing."""
@@ -180,10 +196,14 @@ def _with_features(observation: Observation, detection: Detection) -> Observatio
 # The helper's side.
 
 
-def _work(task: Task, results: Connection) -> None:
+def _work(results: Connection) -> None:
     leave_group()
     _keep_freed_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        task: Task = results.recv()
+    except (EOFError, OSError):  # closed before there was anything to do
+        return
     waiting: queue.Queue[Ready | None] = queue.Queue(_WAITING_FRAMES)
     sender = threading.Thread(target=_send, args=(waiting, results), daemon=True)
     sender.start()

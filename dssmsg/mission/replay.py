@@ -32,7 +32,6 @@ from dssmsg.interfaces import Command, Observer
 from dssmsg.lift import Lifter
 from dssmsg.mission.ahead import Ahead, AheadFloor, AheadLifter, RecordedLifter, Task
 from dssmsg.mission.keyframes import key_frame_rule
-from dssmsg.mission.replay_config import worth_a_process
 from dssmsg.mission.run import Mission, RunResult
 from dssmsg.mission.topology import FloorPlan
 from dssmsg.recording.lazy_frame import looking
@@ -50,20 +49,18 @@ def replay_mission(
     *,
     observers: Sequence[tuple[str, Observer]] = (),
     last_words: LastWords = say_on_stderr,
-    ahead: bool = False,
+    ahead: Ahead | None = None,
 ) -> RunResult:
     """Carry out a replay that `plan_replay` put together; raises what `run_mission` raises.
 
-    `ahead`: what needs no map may be done by a second process, if there is a core for it and enough to do.
-    That process imports the program's main module, which must do nothing when it is imported.
+    `ahead`: a second process that does what needs no map; for the caller to close.
     """
+    task = None if ahead is None else _task(config, recording)
+    if ahead is not None and task is not None:
+        ahead.begin(task)
     with config.naming_files():
-        helper = _helper(config, recording) if ahead else None
-        try:
-            return Replay(config, host, recording, observers, last_words, helper).run()
-        finally:
-            if helper is not None:
-                helper.close()
+        helper = None if task is None else ahead
+        return Replay(config, host, recording, observers, last_words, helper).run()
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,11 +232,11 @@ def _in_order(recording: Recording) -> list[int]:
     return sorted(recording.readable_frame_indices, key=lambda index: (recording.visit(index), index))
 
 
-def _helper(config: RunConfig, recording: Recording) -> Ahead | None:
-    """A process that goes ahead, unless there is too little to do or no core to do it on."""
+def _task(config: RunConfig, recording: Recording) -> Task | None:
+    """What there is to do ahead."""
     camera, noise = recording.camera(), recording.facts["source"]["depth_noise_m"]
     indices = _in_order(recording)[: config.mission.max_frames]
-    if camera is None or not worth_a_process(recording, config):
+    if camera is None:
         return None
     driven = frozenset(
         index
@@ -248,7 +245,7 @@ def _helper(config: RunConfig, recording: Recording) -> Ahead | None:
         if part.phase == _SEEK and part.first <= index < part.end
     )
     rule, reused = key_frame_rule(config.mission), _reuses_detections(config, recording)
-    return Ahead(Task(recording.readable_path, indices, driven, camera, (noise[0], noise[1]), rule, reused))
+    return Task(recording.readable_path, indices, driven, camera, (noise[0], noise[1]), rule, reused)
 
 
 def _reuses_detections(config: RunConfig, recording: Recording) -> bool:

@@ -67,7 +67,7 @@ def plan_replay(
     """Put a replay together and check every slot of it; nothing is written yet.
 
     `file` is a YAML file of the user's (`./dssmsg.yaml` is not read), `environment` None the process's.
-    `processes`: the recording may be written by a process of its own, as `replay_mission` says of `ahead`.
+    `processes`: the recording is written by a process of its own, unless the user said whether to.
     Raises ConfigError where a value is wrong, cannot change in a replay, or names code out of the recording;
     InputError where the recording holds no configuration.
     """
@@ -86,7 +86,7 @@ def plan_replay(
     )
     reuses_answers = not any("llm" in layer.data for layer in own)
     top = _top_layer(recording, before, asked, reuses_detections, reuses_answers)
-    if processes and worth_a_process(recording, asked):
+    if processes:
         _write_apart(top, asked)
     layers = [*base, *own, top]
     config = make_config(layers, file=file)
@@ -146,14 +146,12 @@ def recorded_layer(recording: Recording, label: str) -> Layer:
     return Layer(label, {key: recorded[key] for key in _TAKEN if key in recorded})
 
 
-def worth_a_process(recording: Recording, config: RunConfig) -> bool:
-    """Whether there is a core for another process, and enough to do for it."""
-    frames = min(len(recording.readable_frame_indices), config.mission.max_frames)
-    return frames >= _WORTH_A_PROCESS and (os.cpu_count() or 1) >= 2
+def worth_processes(recording: Recording) -> bool:
+    """Whether there is a core for other processes, and enough to do for them."""
+    return len(recording.readable_frame_indices) >= _WORTH_A_PROCESS and (os.cpu_count() or 1) >= 2
 
 
 def _write_apart(top: Layer, asked: RunConfig) -> None:
-    """Have a process of its own write the recording, unless the user said whether to."""
     rerun = asked.recording.observers.get("rerun")
     if rerun is not None and "process" not in rerun.options and "recording" in top.data:
         top.data["recording"]["observers"]["rerun"]["process"] = True
