@@ -157,8 +157,10 @@ def test_a_window_tells_the_judged_first_and_the_hidden_last(run: Asked) -> None
     evidence = tuple(Evidence(7, name, verdict) for name, verdict in verdicts.items())
     event = ev.WindowEvaluated("viewpoint-1.1", 7, 1.4, (7,), (), evidence, {"object-4": "disappeared"}, 3)
     memory = window_log._Memory()
+    memory.columns.append((6, {"object-4": "seen"}))
     memory.columns.append((7, verdicts))
     lines = log._table(event, memory, run.live).splitlines()
+    assert "| object | 7 base | 6 |" in lines  # newest first: a narrow view cuts the table at its right
     told = [name for line in lines if line.startswith("| ") for name in verdicts if name in line]
     assert told == ["object-4", "object-3", "object-2", "object-1"]
 

@@ -79,9 +79,10 @@ class WindowLog:
         return None
 
     def _table(self, event: events.WindowEvaluated, memory: _Memory, graph: GraphView) -> str:
-        frames = [frame for frame, _ in memory.columns]
+        newest_first = list(reversed(memory.columns))  # a narrow view cuts a table at its right
+        frames = [frame for frame, _ in newest_first]
         ids = sorted(
-            {i for _, column in memory.columns for i in column},
+            {i for _, column in newest_first for i in column},
             key=lambda i: (self._rank(i, event, memory), id_order(i)),
         )
         lines = [f"## {event.viewpoint_id}, frame {event.frame}", ""]
@@ -92,7 +93,7 @@ class WindowLog:
         lines += ["", "| object | " + " | ".join(_head(frame, event) for frame in frames) + " |"]
         lines.append("|---" * (1 + len(frames)) + "|")
         for object_id in ids:
-            cells = [_WORDS.get(column.get(object_id, ""), "") for _, column in memory.columns]
+            cells = [_WORDS.get(column.get(object_id, ""), "") for _, column in newest_first]
             lines.append(f"| {self._named(object_id, graph)} | " + " | ".join(cells) + " |")
         return "\n".join(lines) + "\n"
 
