@@ -286,6 +286,7 @@ def load_config(
     path: Path | None = None,
     *,
     sets: Sequence[str] = (),
+    sets_label: str = "--set",
     goals: Sequence[str] = (),
     seed: int | None = None,
     environment: Mapping[str, str] | None = None,
@@ -293,7 +294,8 @@ def load_config(
     """The configuration of a run.
 
     `path` None means `./dssmsg.yaml`, else the packaged file; `environment` None means the process's;
-    `sets` are assignments like `perception.use=oracle`; `goals` replace the mission's and add the phase seek
+    `sets` are assignments like `perception.use=oracle`, `sets_label` what an error says of where they stand;
+    `goals` replace the mission's and add the phase seek
     where it is missing; `seed` replaces the seed. Raises ConfigError naming file and key.
     """
     file = find_file(path)
@@ -301,7 +303,7 @@ def load_config(
     if file is not None:
         layers += file_layers(file)
     layers += environment_layers(os.environ if environment is None else environment)
-    layers += set_layers(sets)
+    layers += set_layers(sets, sets_label)
     if seed is not None:
         layers.append(Layer("--seed", {"seed": seed}))
     if goals:

@@ -104,17 +104,17 @@ def environment_layers(environment: Mapping[str, str]) -> list[Layer]:
     return layers
 
 
-def set_layers(assignments: Iterable[str]) -> list[Layer]:
-    """One layer an assignment `a.b=value` of the command line; the value is parsed as YAML."""
+def set_layers(assignments: Iterable[str], label: str = "--set") -> list[Layer]:
+    """One layer an assignment `a.b=value`; the value is parsed as YAML, `label` says where they stand."""
     layers = []
     for assignment in assignments:
         dotted, equals, text = assignment.partition("=")
         parts = dotted.strip().split(".")
         if not equals or not all(parts):
             raise ConfigError(
-                f"expected key=value, like perception.use=oracle, got {assignment!r}", file="--set"
+                f"expected key=value, like perception.use=oracle, got {assignment!r}", file=label
             )
-        layers.append(_single("--set", parts, text))
+        layers.append(_single(label, parts, text))
     return layers
 
 

@@ -4,7 +4,8 @@
     ├── ConfigError             exit 2   a key of the YAML, an option or an argument is wrong
     ├── InputError              exit 2   an input file or folder is missing, malformed or foreign
     ├── PluginError             exit 1   a plug-in or model failed at run time
-    │   └── PluginTimeout       exit 1   a plug-in hung; the watchdog ends the process
+    │   ├── PluginTimeout       exit 1   a plug-in hung; the watchdog ends the process
+    │   └── NotUnderstood       exit 1   a language model works, but makes nothing of a sentence
     ├── StorageError            exit 1   disk full, no permission, a file is in the way
     ├── GraphError              exit 1   a change does not fit the graph (`dssmsg.graph.errors`)
     └── ViewerError             exit 1   the viewer did not start (`dssmsg.recording.viewer`)
@@ -69,6 +70,18 @@ class PluginTimeout(PluginError):
     """A plug-in did not return in time. Python cannot cancel it, so the process ends."""
 
     kind = "timeout"
+
+
+class NotUnderstood(PluginError):
+    """A language model works, but makes nothing of a sentence; `reason` says why, without the plug-in.
+
+    An episode ends as it does with any other failing plug-in; where the user has just typed the sentence
+    (`query`, `explain`), it becomes an InputError.
+    """
+
+    def __init__(self, reason: str, *, plugin: str) -> None:
+        super().__init__(reason, plugin=plugin)
+        self.reason = reason
 
 
 class StorageError(DssmsgError):

@@ -24,12 +24,13 @@ from dssmsg.interfaces import KINDS, Encoder
 def slot_problems(host: Host, config: RunConfig, encoder: Encoder | None) -> Iterator[str]:
     """Every problem as `dotted.key: sentence`; a plug-in or option that is wrong in itself is one too."""
     for key, slot in config.slots.items():
-        yield from _of_slot(host, kind_of(key), slot, key, config.base_dir, encoder)
+        yield from problems_of_slot(host, kind_of(key), slot, key, config.base_dir, encoder)
 
 
-def _of_slot(
+def problems_of_slot(
     host: Host, kind: str, slot: Slot, key: str, base_dir: Path, encoder: Encoder | None
 ) -> Iterator[str]:
+    """The same of one slot alone."""
     try:
         registration, options = host.resolve(kind, slot, base_dir, key)
         ask = getattr(options, "problems", None)
@@ -47,4 +48,4 @@ def _of_slot(
         if isinstance(value, Slot):
             # An option that is called like no kind (`fallback`) holds a plug-in of the same kind.
             inner = name if name in KINDS else kind
-            yield from _of_slot(host, inner, value, f"{key}.{name}", base_dir, encoder)
+            yield from problems_of_slot(host, inner, value, f"{key}.{name}", base_dir, encoder)

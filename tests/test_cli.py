@@ -15,7 +15,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from project import FAKE_RUN, Project, environment, project
+from project import FAKE_RUN, FAKES, Outcome, Project, environment, project
 
 import dssmsg
 from dssmsg.config_schema import file_schema
@@ -226,6 +226,42 @@ def test_plugins_lists_rows_and_failures(tmp_path: Path) -> None:
     assert [row["error"] for row in done.json if row["error"]][-1] == "failed to load: OSError: gone"
     text = folder.run("plugins", "--options").out
     assert f"failed: {tmp_path}/bad.py: failed to load: OSError: gone" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("import nothing_of_the_kind", "ModuleNotFoundError: No module named 'nothing_of_the_kind'"),
+        ("def f(:", "SyntaxError: invalid syntax (line 1)"),
+        ("raise SystemExit(3)", "SystemExit: 3"),
+    ],
+)
+def test_a_plugin_file_that_does_not_load_and_is_not_used_is_a_warning(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    files = FAKE_RUN.replace("plugins: [", "plugins: [broken.py, ").replace(
+        "rerun: false, fake: {}", "rerun: {}"
+    )
+    folder = project(tmp_path, {"dssmsg.yaml": files, "broken.py": text})
+    said = [f"warning: {tmp_path}/broken.py: failed to load: {words}"]
+
+    def warnings(done: Outcome) -> list[str]:
+        return [line for line in done.err.splitlines() if line.startswith("warning")]
+
+    done = folder.run("run", "--json")
+    assert (done.code, warnings(done)) == (0, said)
+    recording = done.json["recording"]
+    plugins = f"plugins=[broken.py, {FAKES}]"
+    for command in (
+        ("replay", recording, "--set", plugins),
+        ("query", recording, "the sofa"),
+        ("report", recording),
+    ):
+        done = folder.run(*command)
+        assert (done.code, warnings(done)) == (0, said), done.err
+    assert warnings(folder.run("explain", recording, "--episode", "0")) == said
+    used = folder.run("run", "--set", "perception.use=mine")
+    assert (used.code, len(used.err.splitlines())) == (1, 1)
 
 
 def test_doctor_looks_at_everything_and_says_what_fails(fake: Project) -> None:

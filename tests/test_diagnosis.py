@@ -368,6 +368,18 @@ def test_the_runner_up_is_another_place():
     assert one.other is view
 
 
+def test_another_thing_is_one_that_was_taken_for_the_core():
+    first, runner_up = candidate(1, "viewpoint-2.1"), candidate(2, "viewpoint-5.1")
+    nothing = {**candidate(3, "viewpoint-6.1"), "matching": {"1": "object-7"}}
+    rival = candidate(4, "viewpoint-7.1", "object-3")
+    told, text, _ = compared(first, runner_up, nothing)
+    assert [one.other for one in told] == [runner_up]
+    assert "another thing" not in text
+    told, text, _ = compared(first, runner_up, nothing, rival)
+    assert [one.other for one in told] == [runner_up, rival]
+    assert "best with another thing: viewpoint-7.1, rank 4" in text
+
+
 @pytest.mark.parametrize(
     ("scores", "viewpoint", "tie", "words"),
     [

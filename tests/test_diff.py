@@ -234,7 +234,7 @@ def test_both_graphs_in_one_file(folder: Path, tmp_path: Path) -> None:
             f"/plots/{side}",
         } <= paths
     assert "/summary" in paths
-    with pytest.raises(InputError, match="another program"):
+    with pytest.raises(InputError, match="made by `dssmsg diff --recording`; `dssmsg view` opens it"):
         Recording.open(both)
     assert frame > 0
 
@@ -263,3 +263,54 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     wrong = place.run("diff", str(path), "nowhere.rrd")
     assert (wrong.code, wrong.out) == (2, "")
     assert "nowhere.rrd" in wrong.err
+
+
+class Seeking(PlantedRun):
+    """The same run, told to seek `goals`."""
+
+    def __init__(self, *goals: str) -> None:
+        super().__init__(run_id=f"seeking-{len(goals)}-{goals[0]}")
+        self._goals = goals
+
+    def events(self) -> Iterator[ev.Event]:
+        for event in super().events():
+            match event:
+                case ev.RunStarted():
+                    mission = {"phases": ["survey", "seek"], "goals": list(self._goals)}
+                    yield replace(event, config={**event.config, "mission": mission})
+                case ev.Matched():
+                    yield replace(event, query=self._goals[0])
+                case ev.EpisodeEnded():
+                    yield replace(event, goal=self._goals[0])
+                    for number, goal in enumerate(self._goals[1:], start=1):
+                        yield replace(event, episode=number, goal=goal)
+                case _:
+                    yield event
+
+
+def test_other_goals_are_the_missions_doing_and_asked_in_one_run_alone(tmp_path: Path) -> None:
+    mug, cup, both = (
+        record(Seeking(*goals), tmp_path / f"{len(goals)}{goals[0][4:]}.rrd")
+        for goals in (("the mug",), ("the cup",), ("the mug", "the cup"))
+    )
+    found = difference(mug, cup)
+    assert found.divergence is not None
+    assert (found.divergence.layer, found.divergence.a, found.divergence.b) == (
+        "mission",
+        "the mug",
+        "the cup",
+    )
+    assert [one.key for one in found.because] == ["mission.goals"]
+    assert {(one.query, one.only_in) for one in found.queries} == {("the mug", "a"), ("the cup", "b")}
+    assert [(one.goal, one.a, one.b) for one in found.episodes] == [
+        ("the mug", "success", "not run"),
+        ("the cup", "not run", "success"),
+    ]
+    assert "“the cup”: asked in B alone" in difference_text(found)
+    longer = difference(mug, both)
+    assert longer.divergence is not None
+    assert (longer.divergence.layer, longer.divergence.a, longer.divergence.b) == (
+        "mission",
+        "no goal",
+        "the cup",
+    )

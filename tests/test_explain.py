@@ -1,9 +1,11 @@
 """`dssmsg explain --object`: the life of an object, from a recording alone."""
 
 import json
+import re
 
 import pytest
 from changing_room import ChangingRoom
+from project import project
 from rerun.chunk import RrdReader
 from test_update_dssm import BALL, ROOM, box
 from typer.testing import CliRunner
@@ -47,8 +49,27 @@ def test_a_retired_id_goes_on_as_its_successor(moved):
     with Recording.open(path) as recording:
         life = life_of(recording, retired)
     assert life.ids == (retired, ball)
+    # What the successor was seen to do before is of its own life, not of this one.
+    assert life.events[0].what.startswith("first seen")
     assert life.end["id"] == ball
     assert f"known as {retired}, then {ball}" in life_text(life)
+
+
+def test_a_former_place_tells_the_life_of_its_object(moved):
+    path, ball, _, _ = moved
+    with Recording.open(path) as recording:
+        told = life_text(life_of(recording, "history-1"))
+        assert told == life_text(life_of(recording, ball))
+    place = r"was at \(.*\) m from frame \d+ \(.* s\) on, found elsewhere in frame \d+ \(.* s\) \(history-1\)"
+    assert re.search(place, told)
+
+
+def test_what_is_left_empty_is_named(tmp_path):
+    for option, expected in (("--query", "a sentence"), ("--object", "an id")):
+        for empty in ("", "  "):
+            done = project(tmp_path).run("explain", option, empty)
+            assert done.code == 2
+            assert done.err == f"error: {option}: expected {expected}\n"
 
 
 def test_evidence_in_a_row_is_told_together(moved):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from dssmsg.checks import check_answer
 from dssmsg.dynamic_attribute import DYNAMIC_ATTRIBUTE_SCHEMA, DynamicAttributes
-from dssmsg.errors import ConfigError, PluginError
+from dssmsg.errors import ConfigError, NotUnderstood, PluginError
 from dssmsg.interfaces.llm import Message
 from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
 
@@ -74,7 +74,7 @@ NONSENSE = [
 
 @pytest.mark.parametrize("sentence", NONSENSE)
 def test_what_says_nothing_gives_no_target_and_says_so(words, sentence):
-    with pytest.raises(PluginError, match=r"no (known )?object, purpose or room in") as caught:
+    with pytest.raises(NotUnderstood, match=r"no (known )?object, purpose or room in") as caught:
         understand(words, sentence)
     assert len(str(caught.value)) < 200
 

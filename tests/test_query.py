@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from project import project
 
@@ -46,10 +48,33 @@ def test_for_a_reader_it_prints_scores_and_reasons(tmp_path, oracle_run):
     assert "more" in done.out.splitlines()[-1]
 
 
-def test_what_the_language_model_cannot_read_is_an_error(tmp_path, oracle_run):
-    done = query(tmp_path, oracle_run, "xyzzy")
-    assert done.code != 0
-    assert "llm/lexicon" in done.err
+@pytest.mark.parametrize("sentence", ["xyzzy", "\N{DUCK}", "x" * 5000])
+def test_a_sentence_that_is_not_understood_is_bad_input(tmp_path, oracle_run, sentence):
+    done = query(tmp_path, oracle_run, sentence, "--json")
+    assert done.code == 2
+    assert (done.json["error"]["kind"], done.json["error"]["key"]) == ("input", "TEXT")
+    assert re.search(r"^error: TEXT: no (known )?object, purpose or room in '.{,90}\(English only", done.err)
+    assert "plug-in" not in done.err
+
+
+def test_explain_takes_such_a_sentence_as_query_does(tmp_path, oracle_run):
+    done = project(tmp_path).run("explain", str(oracle_run.recording), "--query", "xyzzy", "--json")
+    assert done.code == 2
+    assert (done.json["error"]["kind"], done.json["error"]["key"]) == ("input", "--query")
+
+
+def test_a_language_model_that_fails_is_not_the_fault_of_the_sentence(tmp_path, oracle_run):
+    fails = "llm={use: scripted, answers: {target_graph: [prose]}}"
+    done = query(tmp_path, oracle_run, "the bathtub", "--set", fails, "--json")
+    assert (done.code, done.json["error"]["kind"]) == (1, "plugin")
+    assert "plug-in llm/scripted" in done.err
+
+
+@pytest.mark.parametrize("words", [["run.rrd"], ["missing/run.rrd"], ["run.rrd", ""], [" "]])
+def test_a_forgotten_sentence_is_said_before_anything_is_read(tmp_path, words):
+    done = project(tmp_path, {"run.rrd": "no recording"}).run("query", *words)
+    assert done.code == 2
+    assert "expected a sentence, got" in done.err
 
 
 def test_more_than_a_recording_and_a_sentence_is_refused(tmp_path, oracle_run):

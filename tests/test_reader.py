@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from project import project
 from recorded_run import SyntheticRun, record
 
 from dssmsg import events as ev
@@ -23,7 +25,8 @@ from dssmsg.graph.compare import same
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import blob_column, migrations, rows, schema, snapshots
 from dssmsg.recording.chunk_index import ChunkIndex, Place
-from dssmsg.recording.reader import Recording, newest
+from dssmsg.recording.newest import newest
+from dssmsg.recording.reader import Recording
 from dssmsg.recording.writer import RecordingWriter
 from dssmsg.review.summary import summarize
 from dssmsg.review.text import summary_text
@@ -235,14 +238,27 @@ def test_newest_is_by_time_and_says_when_there_is_none(tmp_path: Path) -> None:
         newest(tmp_path)
     with pytest.raises(InputError, match="dssmsg run"):
         newest(tmp_path / "missing")
-    import os
-
     for age, name in enumerate(("b.rrd", "a.rrd", "c.rrd")):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (1000 - age, 1000 - age))
     (tmp_path / ".hidden.rrd").touch()
     (tmp_path / "later.txt").touch()
     assert newest(tmp_path).name == "b.rrd"
+
+
+def test_a_comparison_is_never_the_newest_recording(path: Path, tmp_path: Path) -> None:
+    place = project(tmp_path, {"recordings/run.rrd": path.read_bytes()})
+    os.utime(tmp_path / "recordings/run.rrd", (1000, 1000))
+    run, both = "recordings/run.rrd", "recordings/both.rrd"
+    assert place.run("diff", run, run, "--recording", both).code == 0
+    done = place.run("inspect")
+    assert done.code == 0, done.err
+    assert f"reading {run}" in done.err.splitlines()
+    named = place.run("inspect", both)
+    assert (named.code, named.out) == (2, "")
+    assert f"{both}: two runs side by side, made by `dssmsg diff --recording`" in named.err
+    (tmp_path / run).unlink()
+    assert "recordings: holds no recording of a run" in place.run("inspect").err
 
 
 def test_another_schema_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

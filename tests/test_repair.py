@@ -237,6 +237,23 @@ def test_the_repaired_copy_goes_away(whole: tuple[Path, SyntheticRun], tmp_path:
     assert not recording.readable_path.exists()
 
 
+def test_a_repaired_copy_is_made_and_said_once_and_goes_with_the_last_reader(
+    whole: tuple[Path, SyntheticRun], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(whole[0].read_bytes()[:-100])
+    with Recording.open(cut) as first, Recording.open(tmp_path / "." / "cut.rrd") as second:
+        assert first.readable_path == second.readable_path
+        first.close()
+        assert second.readable_path.exists()
+        assert len(second.frame_indices) == len(first.frame_indices)
+        cut.write_bytes(whole[0].read_bytes()[:-200])  # another state of it
+        with Recording.open(cut) as third:
+            assert third.readable_path != second.readable_path
+    assert not second.readable_path.exists()
+    assert len([one for one in caplog.records if "repaired copy" in one.getMessage()]) == 2
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [

@@ -231,10 +231,21 @@ def test_a_recording_that_was_cut_off_is_replayed_as_far_as_it_got(
         with Recording.open(cut) as short:
             if short.frames_readable:
                 break
-    done, _ = replay(den, cut)
+    apart = den.run_process(
+        "replay",
+        str(cut),
+        "--set",
+        "recording.observers.rerun.process=true",
+        "--set",
+        "timeout_secs=300",
+        "--json",
+    )
+    assert apart.code == 0, apart.err
     with Recording.open(cut) as short:
-        assert 0 < done.json["frames"] == short.frames_readable
-    assert "cut off" in done.err or "changes can be read" in done.err
+        assert 0 < apart.json["frames"] == short.frames_readable
+    # Source, perception, language model and the process that writes read it too.
+    said = [line for line in apart.err.splitlines() if "repaired copy" in line]
+    assert said == [f"warning: {cut} was cut off, or is still being written: reading a repaired copy"]
 
 
 # What a replay is put together from.
@@ -272,6 +283,24 @@ class Own:
         return ()
 """
 EVIL = "from pathlib import Path\nPath({marker!r}).touch()\nclass Evil:\n    pass\n"
+
+
+def test_where_the_frames_are_used_up_in_an_episode_the_next_one_never_begins(
+    den: Project, original: Path
+) -> None:
+    with Recording.open(original) as recording:
+        surveyed = next(row["frame"] for row in recording.phases() if row["phase"] == "revisit")
+    sets = ("mission.phases=[survey,seek]", f"mission.max_frames={surveyed + 2}")
+    done = den.run("run", *(part for one in sets for part in ("--set", one)), "--json")
+    assert done.code == 0, done.err
+    assert [one["reason"] for one in done.json["episodes"]] == ["out of time", "not begun"]
+    path = den.path / done.json["recording"]
+    again, _ = replay(den, path)
+    assert again.json["episodes"] == done.json["episodes"]
+    for episode, verdict in enumerate(("cannot tell", "not begun")):
+        told = den.run("explain", str(path), "--episode", str(episode), "--json").json
+        assert (told["verdict"], told["key"]) == (verdict, "mission.max_frames")
+        assert f"where mission.max_frames ({surveyed + 2}) was used up; raise it" in told["note"]
 
 
 def test_nothing_that_a_recording_names_is_imported(tmp_path: Path) -> None:

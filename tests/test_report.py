@@ -108,6 +108,13 @@ def test_the_page_tells_the_run(text: str) -> None:
     assert sum(tag == "svg" for tag, _ in page.tags) >= 4
 
 
+def test_a_picture_says_its_frame_and_why_it_is_shown_where_there_is_a_reason(text: str) -> None:
+    captions = re.findall(r"<figcaption>([^<]*)</figcaption>", text)
+    assert "frame 7; viewpoint-1.1: object-1 disappeared" in captions
+    assert any(re.fullmatch(r"frame \d+", one) for one in captions)
+    assert all(re.fullmatch(r"frame \d+(; .*\w)?", one) for one in captions)
+
+
 def self_contained(text: str) -> None:
     """No script, and nothing that a browser would fetch."""
     page = Page(text)

@@ -61,6 +61,7 @@ configurations:
   long: {source.frames: 5}
 seeds: 2
 """
+SIMULATED = "set: {source: {use: pybullet}}\n"
 RUNS = [f"{seed} {frames}" for seed in (0, 1) for frames in (3, 5)]
 
 
@@ -227,6 +228,29 @@ def test_interrupted_children_do_not_outlive_the_sweep(folder: Project) -> None:
     wait_until(lambda: not alive(process.pid), 30.0)
 
 
+def test_what_is_wrong_only_in_a_run_is_said_with_the_file_too(folder: Project) -> None:
+    (folder.path / "matrix.yaml").write_text(
+        "config: base.yaml\nconfigurations: {none: {source.frames: 0}}\n"
+    )
+    done = folder.run("sweep", "matrix.yaml")
+    assert done.code == 1
+    assert (
+        "failed: none, seed 0: matrix.yaml, configuration none: source: source fake gave no frame" in done.err
+    )
+
+
+def test_a_plugin_file_that_does_not_load_is_said_once(folder: Project) -> None:
+    (folder.path / "broken.py").write_text("import nothing_of_the_kind\n")
+    text = BASE.replace("plugins: [", "plugins: [broken.py, ")
+    (folder.path / "base.yaml").write_text(text)
+    done = folder.run("sweep", "matrix.yaml", "--jobs", "2")
+    assert done.code == 0, done.err
+    assert [line for line in done.err.splitlines() if "broken.py" in line] == [
+        f"warning: {folder.path}/broken.py: failed to load: ModuleNotFoundError: No module named"
+        " 'nothing_of_the_kind'"
+    ]
+
+
 @pytest.mark.parametrize(
     ("matrix", "words"),
     [
@@ -240,6 +264,16 @@ def test_interrupted_children_do_not_outlive_the_sweep(folder: Project) -> None:
         ("config: missing.yaml\nseeds: 1", "missing.yaml"),
         ("", "says nothing to sweep; expected configurations, scenes or seeds"),
         ("set: {source.frames: 4}", "says nothing to sweep"),
+        (
+            f"{SIMULATED}scenes: [rs_int, nowhere]",
+            "matrix.yaml, configuration default: source.scene: unknown",
+        ),
+        (
+            f"{SIMULATED}scenes: ['generated:x']",
+            "configuration default: source.scene: expected generated:<seed>",
+        ),
+        (f"{SIMULATED}scenes: [gone.yaml]", "gone.yaml: no such scene file"),
+        (f"{SIMULATED}scenes: [base.yaml]", "base.yaml: rooms: "),
         ("[1, 2]", "matrix.yaml"),
     ],
 )
@@ -250,6 +284,7 @@ def test_a_wrong_matrix_is_said_before_anything_is_run(folder: Project, matrix: 
     done = folder.run("sweep", "matrix.yaml")
     assert done.code == 2
     assert words in done.err
+    assert "--set" not in done.err
     assert len(done.err.splitlines()) <= 2
     assert not (folder.path / "sweeps").exists()
 

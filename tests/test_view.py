@@ -132,6 +132,15 @@ def test_focus_opens_where_the_object_was_judged_last(path: Path, opened: list[A
     assert opened == [["run.rrd", "focus.rrd"], ("shown", True, 11), "stopped"]
 
 
+def test_a_node_that_is_not_there_is_refused_with_the_time_that_was_looked_at(
+    path: Path, opened: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for time, when in (([], "at the end of the run"), (["--at", "frame=3"], "at that time")):
+        assert main(["view", str(path), "--focus", "object-9999", *time]) == 2
+        assert f"--focus: the graph has no node 'object-9999' {when}\n" in capsys.readouterr().err
+    assert not opened
+
+
 def test_a_page_opens_at_a_time(
     path: Path, opened: list[Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

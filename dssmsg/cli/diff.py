@@ -47,15 +47,14 @@ def diff_command(
     """Compare two recordings, print the difference, and show both side by side where that is asked for."""
     import tempfile
 
+    from dssmsg.cli.outfile import check_output, write_output
     from dssmsg.cli.output import note, print_json, show
     from dssmsg.cli.recordings import warn_of_cuts
-    from dssmsg.errors import ConfigError
     from dssmsg.recording.reader import Recording
     from dssmsg.review.diff import compare
     from dssmsg.review.diff_text import difference_text
 
-    if output is not None and output.exists() and not force:  # before the work, and again after it
-        raise ConfigError("exists already; give --force to overwrite it", file=output, key="--recording")
+    check_output(output, a, b, force=force, key="--recording")
     with (
         Recording.open(a) as first,
         Recording.open(b) as second,
@@ -70,7 +69,7 @@ def diff_command(
             place = Path(folder) / ("both.rrd" if output is None else output.name)
             write_picture(place, first, second, difference)
             if output is not None:
-                _keep(place, output, force=force)
+                write_output(place.read_bytes(), output, force=force)
                 note(f"both side by side: {output}")
         if as_json:
             print_json(difference.to_json())
@@ -84,14 +83,3 @@ def diff_command(
                 viewer.wait()
             finally:
                 viewer.stop()
-
-
-def _keep(picture: Path, output: Path, *, force: bool) -> None:
-    """Put the finished picture where it was asked for, whole or not at all."""
-    from contextlib import suppress
-
-    from dssmsg.cli.recordings import write_output
-
-    with suppress(OSError):  # writing says why it fails
-        output.parent.mkdir(parents=True, exist_ok=True)
-    write_output(picture.read_bytes(), output, force=force)

@@ -28,12 +28,13 @@ def register(app: typer.Typer) -> None:
             ),
         ] = None,
         object_id: Annotated[
-            str, typer.Option("--object", metavar="ID", help="The life of an object, like object-12.")
-        ] = "",
+            str | None,
+            typer.Option("--object", metavar="ID", help="The life of an object, like object-12."),
+        ] = None,
         query: Annotated[
-            str,
+            str | None,
             typer.Option("--query", metavar="TEXT", help="Why a viewpoint won a goal, or a new sentence."),
-        ] = "",
+        ] = None,
         no_truth: Annotated[
             bool, typer.Option("--no-truth", help="Reason as if no truth had been recorded.")
         ] = False,
@@ -56,16 +57,19 @@ def register(app: typer.Typer) -> None:
           dssmsg explain recordings/run.rrd --object object-12 --json
           dssmsg explain --query "a place to wash up"
         """
-        if [episode is not None, bool(object_id), bool(query)].count(True) != 1:
-            from dssmsg.errors import ConfigError
+        from dssmsg.errors import ConfigError
 
+        if [episode, object_id, query].count(None) != 2:
             raise ConfigError(
                 'say one thing to explain: --episode 0, --object object-12 or --query "the sofa"',
                 key="--episode",
             )
-        if query:
+        for key, given, expected in (("--query", query, "a sentence"), ("--object", object_id, "an id")):
+            if given is not None and not given.strip():
+                raise ConfigError(f"expected {expected}", key=key)
+        if query is not None:
             show_query_explained(recording, query, config, sets or (), as_json=as_json)
-        elif object_id:
+        elif object_id is not None:
             show_explanation(recording, object_id, as_json=as_json)
         elif episode is not None:
             show_episode(recording, episode, config, sets or (), no_truth=no_truth, as_json=as_json)
@@ -103,6 +107,7 @@ def show_episode(
 
     path = chosen(recording)
     with stdout_to_stderr():
+        from dssmsg.cli.plugins import warn_of_failures
         from dssmsg.config import load_config
         from dssmsg.evaluate.diagnosis_rules import build_rules
         from dssmsg.host import Host
@@ -111,7 +116,9 @@ def show_episode(
 
         resolved = load_config(config, sets=sets)
         with resolved.naming_files():
-            rules = build_rules(resolved, Host.load(resolved.plugins, resolved.base_dir))
+            host = Host.load(resolved.plugins, resolved.base_dir)
+            rules = build_rules(resolved, host)
+        warn_of_failures(host)
         with ReviewedRecording.open(path) as opened:
             opened.hides_truth = no_truth
             warn_of_cuts(opened)
@@ -160,7 +167,7 @@ def _grounded_anew(
     resolved = load_config(config, sets=sets)
     graph = recording.graph_at()
     llm, grounding = plugins_over(resolved, recording, graph)
-    target = target_of(llm, sentence, resolved)
+    target = target_of(llm, sentence, resolved, key="--query")
     candidates = checks.check_candidates(graph, grounding.ground(target))
     with resolved.naming_files():
         host = Host.load(resolved.plugins, resolved.base_dir)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from dssmsg.cli.output import print_json, stdout_to_stderr
+from dssmsg.cli.output import note, print_json, stdout_to_stderr
 from dssmsg.config import load_config
 from dssmsg.config_schema import options_of
 from dssmsg.host import Host, Problem, Registration
@@ -38,8 +38,18 @@ def list_plugins(path: Path | None, *, options: bool, as_json: bool) -> None:
             default = "required" if option["required"] else json.dumps(option["default"], ensure_ascii=False)
             print(f"    {option['name']}: {option['type']} ({default}); {option['description']}")
     for problem in host.problems:
-        name = f"{problem.kind} {problem.name}: " if problem.name else ""
-        print(f"failed: {name}{problem.origin}: {problem.message}")
+        print(f"failed: {_told(problem)}")
+
+
+def warn_of_failures(*hosts: Host) -> None:
+    """Say on stderr what failed to load, once: for commands that do without, once they know that they can."""
+    for line in dict.fromkeys(_told(problem) for host in hosts for problem in host.problems):
+        note(f"warning: {line}")
+
+
+def _told(problem: Problem) -> str:
+    name = f"{problem.kind} {problem.name}: " if problem.name else ""
+    return f"{name}{problem.origin}: {problem.message}"
 
 
 def _row(one: Registration) -> dict[str, Any]:

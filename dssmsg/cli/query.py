@@ -61,16 +61,16 @@ def show_query(
 ) -> None:
     """Print the answer to a sentence.
 
-    Raises InputError for the recording, ConfigError for the time or the configuration, PluginError where the
-    language model has no target graph to give.
+    Raises InputError for the recording or a sentence that is not understood, ConfigError for the time or the
+    configuration, PluginError where the language model fails.
     """
     from dssmsg.cli.output import print_json, show, stdout_to_stderr
     from dssmsg.cli.recordings import chosen, moment, warn_of_cuts
 
     if len(words) > 2:
         raise typer.BadParameter("expected a recording and one sentence; put the sentence in quotes")
-    if not words[-1].strip():
-        raise typer.BadParameter("expected a sentence, got none")
+    if not words[-1].strip() or words[-1].endswith(".rrd"):  # a recording alone: the sentence was forgotten
+        raise typer.BadParameter(f"expected a sentence, got {words[-1]!r}")
     path = chosen(Path(words[0]) if len(words) == 2 else None)
     with stdout_to_stderr():
         from dssmsg import checks
@@ -85,7 +85,7 @@ def show_query(
             warn_of_cuts(opened)
             graph = opened.graph_at(frame, update=update)
             llm, grounding = plugins_over(resolved, opened, graph)
-            target = target_of(llm, words[-1], resolved)
+            target = target_of(llm, words[-1], resolved, key="TEXT")
             candidates = checks.check_candidates(graph, grounding.ground(target))
         answer = query_json(
             words[-1],
@@ -104,6 +104,7 @@ def show_query(
 def plugins_over(config: RunConfig, recording: Recording, graph: Any) -> tuple[Llm, Grounding]:
     """The language model and the grounding of a configuration, over a recorded graph."""
     from dssmsg.cli.output import note
+    from dssmsg.cli.plugins import warn_of_failures
     from dssmsg.contexts import ContextFactory
     from dssmsg.graph.ids import IdAllocator
     from dssmsg.graph.read_only import ReadOnlyGraph
@@ -138,7 +139,9 @@ def plugins_over(config: RunConfig, recording: Recording, graph: Any) -> tuple[L
         known = recording.facts["feature_space"]
         if known is not None and known != encoder.space:
             note(f"the map's features live in {known}, the encoder's in {encoder.space}: labels are compared")
-        return contexts.llm, build("grounding")
+        grounding = build("grounding")
+    warn_of_failures(host)
+    return contexts.llm, grounding
 
 
 def _working(build: Callable[[str], Any], recording: Recording) -> Encoder:
@@ -161,12 +164,18 @@ def _working(build: Callable[[str], Any], recording: Recording) -> Encoder:
         return vectors
 
 
-def target_of(llm: Llm, sentence: str, config: RunConfig) -> TargetGraph:
-    """The target graph of a sentence. Raises PluginError naming the language model where it gives none."""
-    from dssmsg.errors import PluginError
+def target_of(llm: Llm, sentence: str, config: RunConfig, *, key: str) -> TargetGraph:
+    """The target graph of a sentence that the user gave as the argument or option `key`.
+
+    Raises InputError where it is not understood, PluginError where the language model fails.
+    """
+    from dssmsg.errors import InputError, NotUnderstood, PluginError
     from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
 
-    answer = llm.complete("target_graph", target_graph_request(sentence), TARGET_GRAPH_SCHEMA)
+    try:
+        answer = llm.complete("target_graph", target_graph_request(sentence), TARGET_GRAPH_SCHEMA)
+    except NotUnderstood as error:
+        raise InputError(error.reason, key=key) from error
     try:
         return parse_target_graph(sentence, answer.value)
     except ValueError as error:

@@ -80,10 +80,13 @@ def register(app: typer.Typer) -> None:
           dssmsg export --format graphml -o graph.graphml
           dssmsg export recordings/run.rrd --at frame=120 --format ply -o map.ply
         """
+        from dssmsg.cli.outfile import check_output, write_output
         from dssmsg.graph.export import export_graph
         from dssmsg.recording.reader import Recording
 
-        with Recording.open(chosen(recording)) as opened:
+        path = chosen(recording)
+        check_output(output, path, force=force)
+        with Recording.open(path) as opened:
             frame, update = moment(opened, at)
             warn_of_cuts(opened)
             data = export_graph(opened.graph_at(frame, update=update), format.value)
@@ -99,7 +102,7 @@ def chosen(recording: Path | None) -> Path:
         return recording
     from dssmsg.cli.output import note
     from dssmsg.config import load_config
-    from dssmsg.recording.reader import newest
+    from dssmsg.recording.newest import newest
 
     path = newest(Path(load_config().recording.directory))
     note(f"reading {path}")
@@ -156,35 +159,3 @@ def warn_of_cuts(recording: Recording) -> None:
 
     for line in recording.cut_notes():
         note(f"warning: {recording.path}: {line}")
-
-
-def write_output(data: bytes, output: Path | None, *, force: bool) -> None:
-    """Write bytes to a file, or to stdout.
-
-    Raises ConfigError if the file exists, StorageError if it cannot be written.
-    """
-    import os
-    import sys
-    import tempfile
-
-    from dssmsg.errors import ConfigError, StorageError
-
-    if output is None:
-        sys.stdout.buffer.write(data)
-        return
-    if output.exists() and not force:
-        raise ConfigError("exists already; give --force to overwrite it", file=output, key="--output")
-    try:
-        handle, name = tempfile.mkstemp(dir=output.parent, prefix=f".{output.name}-")
-        temporary = Path(name)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-            mask = os.umask(0)
-            os.umask(mask)
-            temporary.chmod(0o666 & ~mask)
-            temporary.replace(output)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise StorageError(f"cannot be written ({error.strerror})", file=output) from error

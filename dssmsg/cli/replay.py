@@ -84,10 +84,12 @@ def replay_command(recording: Path | None, sets: list[str], file: Path | None, *
 def _replay(recording: Recording, sets: list[str], file: Path | None, ahead: Ahead | None) -> RunResult:
     """Put a replay together, say how it differs from the run, and carry it out."""
     from dssmsg.cli.output import note
+    from dssmsg.cli.plugins import warn_of_failures
     from dssmsg.mission.replay import replay_mission
     from dssmsg.mission.replay_config import plan_replay
 
     plan = plan_replay(recording, file=file, sets=sets, processes=ahead is not None)
+    warn_of_failures(plan.host)
     for key in plan.left_out:
         note(f"warning: {key} is left out: this version has no such option")
     for key, (before, now) in plan.changed.items():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dssmsg.cli.options import ConfigOption, JsonOption
-from dssmsg.cli.recordings import chosen, warn_of_cuts, write_output
+from dssmsg.cli.recordings import chosen, warn_of_cuts
 
 if TYPE_CHECKING:
     from dssmsg.cli.progress import Told
@@ -57,18 +57,18 @@ def write_report(
     place: Path | None, output: Path, config: Path | None, *, force: bool, as_json: bool = False
 ) -> None:
     """Write the page of a recording or a folder (None: of the newest recording) and print its path."""
+    from dssmsg.cli.outfile import check_output, write_output
     from dssmsg.cli.output import print_json, stdout_to_stderr
     from dssmsg.cli.progress import counting
-    from dssmsg.errors import ConfigError
 
-    if output.exists() and not force:  # before the work, and again after it
-        raise ConfigError("exists already; give --force to overwrite it", file=output, key="--output")
     with stdout_to_stderr(), counting() as progress:
+        place = chosen(place)
+        check_output(output, place, force=force)
         explain = _explainer(config)
-        if place is not None and place.is_dir():
+        if place.is_dir():
             page, recordings = _folder_page(place, explain, progress)
         else:
-            page, recordings = _recording_page(chosen(place), explain), 1
+            page, recordings = _recording_page(place, explain), 1
     write_output(page.encode(), output, force=force)
     if as_json:
         print_json({"report": str(output), "recordings": recordings, "bytes": output.stat().st_size})
@@ -100,6 +100,7 @@ def _folder_page(folder: Path, explain: Explain, progress: Told) -> tuple[str, i
 
 def _explainer(config: Path | None) -> Explain:
     """Diagnoses the episodes of a recording by the rules of the local configuration."""
+    from dssmsg.cli.plugins import warn_of_failures
     from dssmsg.config import load_config
     from dssmsg.errors import DssmsgError
     from dssmsg.evaluate.diagnosis_rules import build_rules
@@ -109,14 +110,16 @@ def _explainer(config: Path | None) -> Explain:
 
     resolved = load_config(config)
     with resolved.naming_files():
-        rules = build_rules(resolved, Host.load(resolved.plugins, resolved.base_dir))
+        host = Host.load(resolved.plugins, resolved.base_dir)
+        rules = build_rules(resolved, host)
+    warn_of_failures(host)
 
     def explain(recording: Recording) -> dict[int, str]:
         told: dict[int, str] = {}
         episodes = recording.told.episodes
         if not episodes:
             return told
-        # The original again, by its path: what is cut off is then repaired a second time, which is rare.
+        # The original again, by its path: what was repaired is shared.
         with ReviewedRecording.open(recording.path) as opened:
             for one in episodes:
                 try:

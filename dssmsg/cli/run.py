@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dssmsg.cli.output import error_json, note, print_json, show, stdout_to_stderr
+from dssmsg.cli.plugins import warn_of_failures
 from dssmsg.config import load_config
 from dssmsg.errors import DssmsgError, PluginTimeout
 from dssmsg.host import Host
@@ -55,6 +56,7 @@ def run_command(
         if any(one.name == PROGRESS for one in host.registrations("observer")):
             config = config.with_defaults({"recording": {"observers": {PROGRESS: {}}}})
         host.check(config)
+        warn_of_failures(host)
         from dssmsg.mission.run import run_mission
 
         directory = Path(config.recording.directory)

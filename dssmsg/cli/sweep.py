@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import os
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -82,6 +83,7 @@ def run_sweep(
 ) -> int:
     """Carry out a sweep, print its table and return the exit code."""
     from dssmsg.cli.output import note, print_json, show, stdout_to_stderr
+    from dssmsg.cli.plugins import warn_of_failures
     from dssmsg.cli.progress import counting
     from dssmsg.errors import ConfigError
 
@@ -93,10 +95,18 @@ def run_sweep(
         from dssmsg.evaluate import sweep_engines
         from dssmsg.evaluate.sweep import rows_csv, run_rows, sweep, sweep_rows, sweep_text
         from dssmsg.evaluate.sweep_matrix import plan_runs, read_matrix
+        from dssmsg.host import Host
 
         matrix = read_matrix(file)
         place = work or Path("sweeps") / matrix.name
-        runs = plan_runs(matrix, file, place)
+        hosts: list[Host] = []
+
+        def load_host(paths: Sequence[str], base_dir: Path) -> Host:
+            hosts.append(Host.load(paths, base_dir))
+            return hosts[-1]
+
+        runs = plan_runs(matrix, file, place, load_host)
+        warn_of_failures(*hosts)
         at_once = jobs or _cores()
         note(f"sweep in {place}: {len(runs)} run{'s' * (len(runs) > 1)}, up to {at_once} at a time")
         carry_out: EngineFunction = sweep_engines.local

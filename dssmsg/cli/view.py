@@ -92,10 +92,11 @@ def open_viewer(
     from dssmsg.errors import ConfigError
     from dssmsg.recording.blueprint import eye_on, make_layout
     from dssmsg.recording.focus import save_focus
+    from dssmsg.recording.newest import is_comparison
     from dssmsg.recording.reader import Recording
     from dssmsg.recording.viewer import Viewer
 
-    if _is_comparison(path):
+    if is_comparison(path):
         _open_comparison(path, web=web, at=at, focus=focus, layout=layout, as_json=as_json)
         return
     if layout == Layout.COMPARISON:
@@ -106,13 +107,15 @@ def open_viewer(
     with Recording.open(path) as opened, tempfile.TemporaryDirectory(prefix="dssmsg-") as folder:
         frame, update = moment(opened, at)
         warn_of_cuts(opened)
+        when = "at that time"
         if at is None and focus is not None:
             frame = _judged(opened, focus)
+            when = "at the end of the run" if frame is None else f"at frame {frame}"
         graph = opened.graph_at(frame, update=update)
         if update is not None:
             frame = opened.frame_of_update(update)
         named = layout or _own_layout(opened)
-        shown = make_layout(named, eye_on(graph, focus), focused=focus is not None)
+        shown = make_layout(named, eye_on(graph, focus, when), focused=focus is not None)
         additions = []
         if focus is not None:
             additions.append(Path(folder) / "focus.rrd")
@@ -131,22 +134,6 @@ def open_viewer(
             viewer.wait()
         finally:
             viewer.stop()
-
-
-def _is_comparison(path: Path) -> bool:
-    """Whether a file is one of `dssmsg diff`; False also for what does not read: the reader says why."""
-    from rerun.chunk import RrdReader
-
-    from dssmsg.recording.comparison import APPLICATION_ID
-    from dssmsg.recording.messages import has_footer
-
-    try:
-        # A comparison is always a finished file; Rerun warns of any other, at length.
-        return has_footer(path) and [one.application_id for one in RrdReader(path).recordings()] == [
-            APPLICATION_ID
-        ]
-    except (RuntimeError, OSError, ValueError):
-        return False
 
 
 def _say_open(
@@ -235,7 +222,7 @@ def _page(recording: Recording, graph: SceneGraph, node: str) -> str:
 
     try:
         told = life_text(life_of(recording, node))
-    except InputError:  # no object: a waypoint, a viewpoint, a former place
+    except InputError:  # no object: a waypoint, a viewpoint
         ends = [edge for edge in graph.edges.values() if node in (edge.source, edge.target)]
         told = "\n".join(f"{edge.source} -{edge.kind}- {edge.target}" for edge in ends[:40])
     lines = [f"- {line.strip()}" for line in told.splitlines() if line.strip()]

@@ -20,6 +20,7 @@ from dssmsg.config_yaml import read_yaml
 from dssmsg.errors import ConfigError
 from dssmsg.evaluate.missions import fingerprint
 from dssmsg.host import Host
+from dssmsg.slot_problems import problems_of_slot
 
 MAX_RUNS = 100_000
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
@@ -53,8 +54,8 @@ class Matrix(BaseModel):
 class Run:
     """One run of a sweep, as any process of any machine can carry it out.
 
-    `folder` (absolute) is its own; `cwd` is where relative paths of `sets` begin; `environment` holds the
-    variables that belong to the configuration, and no others.
+    `folder` (absolute) is its own; `cwd` is where relative paths of `sets` begin; `label` is what errors say
+    of where these stand; `environment` holds the variables that belong to the configuration, and no others.
     """
 
     configuration: str
@@ -64,6 +65,7 @@ class Run:
     cwd: Path
     config: Path | None
     sets: tuple[str, ...]
+    label: str
     environment: Mapping[str, str]
 
     @property
@@ -73,7 +75,9 @@ class Run:
 
     def load(self, load_host: LoadHost = Host.load) -> tuple[RunConfig, Host]:
         """The run's configuration, recording into its folder, and the plug-ins. Raises ConfigError."""
-        config = load_config(self.config, sets=self.sets, seed=self.seed, environment=self.environment)
+        config = load_config(
+            self.config, sets=self.sets, sets_label=self.label, seed=self.seed, environment=self.environment
+        )
         with config.naming_files():
             host = load_host(config.plugins, config.base_dir)
         recorded = config.recording.model_copy(update={"directory": str(self.folder)})
@@ -91,10 +95,10 @@ def read_matrix(file: Path) -> Matrix:
     return matrix
 
 
-def plan_runs(matrix: Matrix, file: Path, work: Path) -> list[Run]:
+def plan_runs(matrix: Matrix, file: Path, work: Path, load_host: LoadHost = Host.load) -> list[Run]:
     """Every run of a matrix, seed by seed, so that a sweep that is cut early has all configurations.
 
-    Each configuration is checked before anything is run. Raises ConfigError naming the matrix' key.
+    Each configuration and scene is checked before anything is run. Raises ConfigError naming the matrix' key.
     """
     seeds = range(matrix.seeds) if isinstance(matrix.seeds, int) else tuple(dict.fromkeys(matrix.seeds))
     scenes: tuple[str, ...] = tuple(dict.fromkeys(matrix.scenes)) or ("",)
@@ -105,7 +109,7 @@ def plan_runs(matrix: Matrix, file: Path, work: Path) -> list[Run]:
     base = None if base is None else base.resolve()
     common = _sets(matrix.set)
     variables = {name: value for name, value in os.environ.items() if name.startswith(ENV_PREFIX)}
-    load_host = lru_cache(Host.load)  # runs with the same plug-ins share their host
+    load_host = lru_cache(load_host)  # runs with the same plug-ins share their host
     runs = []
     for seed in seeds:
         for scene in scenes:
@@ -113,21 +117,28 @@ def plan_runs(matrix: Matrix, file: Path, work: Path) -> list[Run]:
                 own = [f"source.scene={json.dumps(scene)}"] if scene else []
                 sets = (*common, *_sets(options or {}), *own)
                 place = (work / "runs").resolve()
-                run = Run(name, scene, seed, place, Path.cwd(), base, sets, variables)
-                runs.append(_placed(run, file, load_host))
+                label = f"{file}, configuration {name}"
+                run = Run(name, scene, seed, place, Path.cwd(), base, sets, label, variables)
+                runs.append(_placed(run, load_host, asks_source=seed == seeds[0]))
     return runs
 
 
-def _placed(run: Run, file: Path, load_host: LoadHost) -> Run:
-    """The run with a folder that its resolved configuration names. Raises ConfigError if that is wrong."""
+def _placed(run: Run, load_host: LoadHost, *, asks_source: bool) -> Run:
+    """The run with a folder that its resolved configuration names. Raises ConfigError if that is wrong.
+
+    `asks_source`: look at the scene too, which reads files and is the same for all seeds. Models and keys are
+    left to the runs, which may be carried out elsewhere.
+    """
     try:
         config, host = run.load(load_host)
         with config.naming_files():
             host.check(config)
+        if asks_source:
+            for problem in problems_of_slot(host, "source", config.source, "source", config.base_dir, None):
+                key, _, message = problem.partition(": ")
+                raise ConfigError(message, key=key)
     except ConfigError as error:
-        place = f"{file}, configuration {run.configuration}"
-        if error.file not in (None, "--set"):
-            place = f"{place} ({error.file})"
+        place = run.label if error.file in (None, run.label) else f"{run.label} ({error.file})"
         raise ConfigError(error.message, file=place, key=error.key) from error
     readable = re.sub(r"[^A-Za-z0-9._-]+", "_", f"{run.configuration}-{run.scene}-{run.seed}")[-120:]
     folder = run.folder / f"{readable}-{fingerprint(config, host)}"

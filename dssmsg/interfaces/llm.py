@@ -47,7 +47,10 @@ class Llm(Protocol):
     """Messages + JSON schema -> validated object."""
 
     def complete(self, role: str, messages: Sequence[Message], schema: Mapping[str, Any]) -> Answer:
-        """Answer for a role (`target_graph`, `dynamic_attribute`); raises PluginError when there is none."""
+        """Answer for a role (`target_graph`, `dynamic_attribute`).
+
+        Raises PluginError when there is none; NotUnderstood, which is one, when that is due to the sentence.
+        """
         ...
 
 

@@ -153,7 +153,7 @@ class Replay(Mission):
         seeker, end = self._seeker(), self._end
         frame = self._frame or self._advance(Command())
         for goal in self._config.mission.goals:
-            if frame is None:
+            if frame is None or self._is_out_of_frames():
                 break
             number = len(self._episodes)
             was: Mapping[str, Any] | None = self._ended[number] if number < len(self._ended) else None

@@ -308,6 +308,8 @@ class Mission:
         for goal in self._config.mission.goals:
             if frame is None:
                 raise InputError(f"source {self._info.name} gave no frame", key="source")
+            if self._is_out_of_frames():
+                break
             ended, frame = seeker.seek(len(self._episodes), goal, frame)
             self._episodes.append(ended)
 

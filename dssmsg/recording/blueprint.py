@@ -128,17 +128,17 @@ def make_layout(name: str, eye: Eye | None = None, *, focused: bool = False) -> 
     )
 
 
-def eye_on(graph: GraphView, focus: str | None = None) -> Eye | None:
+def eye_on(graph: GraphView, focus: str | None = None, when: str = "at that time") -> Eye | None:
     """An eye that sees the whole map from above and aside, or one node from nearby; None for an empty map.
 
-    Raises ConfigError if the graph has no such node.
+    Raises ConfigError if the graph has no such node; `when` tells the graph's time in the message.
     """
     if focus is not None:
         spot = place(graph, focus)
         if spot is None and focus in graph.history:
             spot = (graph.history[focus].box_min + graph.history[focus].box_max) / 2
         if spot is None:
-            raise ConfigError(f"the graph has no node {focus!r} at that time", key="--focus")
+            raise ConfigError(f"the graph has no node {focus!r} {when}", key="--focus")
         return _eye(spot, max(2.5, 2.0 * _diagonal(graph, focus)))
     spots = [node.center for node in graph.objects.values()] + [n.position for n in graph.waypoints.values()]
     return eye_over(spots)

@@ -27,7 +27,6 @@ from dssmsg.recording.scene_log import SceneLog
 from dssmsg.recording.store import ChunkFile
 from dssmsg.recording.views import Eye
 
-APPLICATION_ID = "dssmsg-comparison"
 SIDES = ("a", "b")
 SUMMARY = "/summary"
 LOG = "/log"
@@ -93,7 +92,9 @@ def write_comparison(
 def _open_stream(path: Path) -> Iterator[tuple[rr.RecordingStream, MessageFile, Any]]:
     file = MessageFile(path)
     stream = rr.RecordingStream(
-        APPLICATION_ID, recording_id=path.stem, batcher_config=rr.ChunkBatcherConfig(flush_tick=60.0)
+        schema.COMPARISON_ID,
+        recording_id=path.stem,
+        batcher_config=rr.ChunkBatcherConfig(flush_tick=60.0),
     )
     try:
         yield stream, file, rr.binary_stream(stream)

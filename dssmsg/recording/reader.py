@@ -10,10 +10,6 @@ The parts: frames (`frame_table`), changes and the graph (`change_log`), all oth
 
 from __future__ import annotations
 
-import logging
-import shutil
-import tempfile
-import weakref
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -33,12 +29,10 @@ from dssmsg.recording.damage import json_object, reading
 from dssmsg.recording.frame_table import FrameFacts, FrameTable
 from dssmsg.recording.messages import has_footer
 from dssmsg.recording.migrations import Migrations
-from dssmsg.recording.repair import check_recording, repaired_copy
+from dssmsg.recording.repair import RepairedCopy, check_recording
 from dssmsg.recording.run_facts import checked_facts
 from dssmsg.recording.store import ChunkFile
 from dssmsg.recording.told import Told
-
-log = logging.getLogger(__name__)
 
 Json = dict[str, Any]
 
@@ -46,13 +40,12 @@ Json = dict[str, Any]
 class Recording:
     """One run, read back. A context manager: on leaving, or on `close()`, a repaired copy goes."""
 
-    def __init__(self, path: Path, file: ChunkFile, folder: Path | None = None) -> None:
+    def __init__(self, path: Path, file: ChunkFile, copy: RepairedCopy | None = None) -> None:
         self.path = path
         self.readable_path = file.path
         """The file that other programs can read: `path`, or the repaired copy."""
         self._file = file
-        # Removes the folder with the copy at the latest when this object, or the process, goes.
-        self._cleanup = weakref.finalize(self, _remove, folder)
+        self._copy = copy
         self._run = file.property(schema.RUN_PROPERTY)
         file.migrations = migrations = self._checked_version()
         self.schema_version = migrations.version
@@ -73,14 +66,8 @@ class Recording:
         check_recording(path)
         if has_footer(path):
             return cls(path, ChunkFile(path, path))
-        folder = Path(tempfile.mkdtemp(prefix="dssmsg-"))
-        try:
-            recording = cls(path, ChunkFile(repaired_copy(path, folder), path), folder)
-        except BaseException:
-            _remove(folder)
-            raise
-        log.warning("%s was cut off, or is still being written: reading a repaired copy", path)
-        return recording
+        copy = RepairedCopy.of(path)
+        return cls(path, ChunkFile(copy.path, path), copy)
 
     @cached_property
     def complete(self) -> bool:
@@ -107,12 +94,18 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Remove the repaired copy, if there is one; safe to call twice."""
-        self._cleanup()
+        """Let go of the repaired copy, if there is one; safe to call twice."""
+        self._copy = None
 
     def _checked_version(self) -> Migrations:
         version = self._run.get("schema_version")
         if self._file.application_id != schema.APPLICATION_ID or version is None:
+            if self._file.application_id == schema.COMPARISON_ID:
+                raise InputError(
+                    "two runs side by side, made by `dssmsg diff --recording`; `dssmsg view` opens it; here"
+                    " the recording of one run is expected",
+                    file=self.path,
+                )
             raise InputError(
                 f"an .rrd of another program ({self._file.application_id}); expected a recording of dssmsg",
                 file=self.path,
@@ -402,25 +395,3 @@ class Recording:
     def timings(self) -> dict[int, dict[str, float]]:
         """Wall seconds by stage, by frame."""
         return {one.frame: dict(one.seconds) for one in self.told.timings}
-
-
-def _remove(folder: Path | None) -> None:
-    if folder is not None:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def newest(directory: Path) -> Path:
-    """The newest `.rrd` file of a folder. Raises InputError if the folder has none."""
-    try:
-        found = [
-            (path.stat().st_mtime_ns, path)
-            for path in directory.glob("*.rrd")
-            if path.is_file() and not path.name.startswith(".")
-        ]
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=directory) from error
-    if not found:
-        raise InputError(
-            "holds no recording (.rrd); make one with `dssmsg run`, or name a file", file=directory
-        )
-    return max(found)[1]

@@ -1,21 +1,25 @@
 """Recordings without an index: cut off, still growing, or just written. Made readable, the content untouched.
 
-`repaired_copy` leaves the original alone and reads what is whole; `optimize` finishes a recording in place.
+`RepairedCopy` leaves the original alone and reads what is whole; `optimize` finishes a recording in place.
 Both let Rerun's own program compact the messages and write the index.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import weakref
 from pathlib import Path
 from typing import BinaryIO
 
 from dssmsg.errors import InputError, StorageError
 from dssmsg.recording.messages import HEADER_BYTES, MAGIC, has_footer, whole_length
+
+log = logging.getLogger(__name__)
 
 _OPTIMIZE_TIMEOUT_SECS = 600.0
 _CHUNK_LIMITS = ("--max-size", "512KiB", "--max-rows", "256")
@@ -40,12 +44,38 @@ def check_recording(path: Path) -> None:
         raise InputError("not a recording that this version reads; expected an .rrd file", file=path)
 
 
-def repaired_copy(path: Path, folder: Path) -> Path:
-    """A readable copy, in `folder`, of a recording that is unfinished or still growing.
+class RepairedCopy:
+    """A readable copy of a recording that is unfinished or still growing, in a temporary folder.
 
-    Raises InputError if not even the beginning can be read, StorageError if the copy cannot be written.
+    The folder goes with the last who holds the copy, at the latest with the process.
     """
-    check_recording(path)
+
+    def __init__(self, path: Path) -> None:
+        folder = Path(tempfile.mkdtemp(prefix="dssmsg-"))
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.path = _repaired(path, folder)
+
+    @classmethod
+    def of(cls, path: Path) -> RepairedCopy:
+        """The copy that somebody in this process holds of the file as it is now, else a new one.
+
+        A replay reads its recording in several places: it is repaired, and that is said, once. Raises
+        InputError if not even the beginning can be read, StorageError if the copy cannot be written.
+        """
+        state = path.stat()
+        key = (path.resolve(), state.st_ino, state.st_size, state.st_mtime_ns)
+        copy = _held.get(key)
+        if copy is None:
+            copy = _held[key] = cls(path)
+            log.warning("%s was cut off, or is still being written: reading a repaired copy", path)
+        return copy
+
+
+_held: weakref.WeakValueDictionary[tuple[object, ...], RepairedCopy] = weakref.WeakValueDictionary()
+
+
+def _repaired(path: Path, folder: Path) -> Path:
+    """Write the copy into `folder`."""
     whole = folder / f"{path.stem}.whole.rrd"
     copy = folder / path.name
     try:

@@ -17,6 +17,8 @@ SCHEMA_VERSION = 2
 """Raised whenever what a table holds changes; `dssmsg.recording.migrations` reads the older ones."""
 
 APPLICATION_ID = "dssmsg"
+COMPARISON_ID = "dssmsg-comparison"
+"""Of a file with two runs side by side, which is for the viewer alone: `dssmsg.recording.comparison`."""
 
 # Timelines. A timeline's type never changes within a file: that would spoil the file's footer.
 FRAME = "frame"

@@ -33,9 +33,9 @@ class Diagnosed:
     """What the rules make of an episode.
 
     verdict `fault` names a `layer`; `cannot tell` has none, whatever the findings hint at; `no fault`: it
-    ended well, and nothing speaks against that; `not begun`: the run ended before its turn, by `key` of the
-    configuration if that is what ended it. `frame` is the first one where things went wrong, `chain`
-    what happened from there to the end, `problems` the rules that failed themselves.
+    ended well, and nothing speaks against that; `not begun`: the run ended before its turn. `key` of the
+    configuration is what ended the run, before or in the episode, if one did. `frame` is the first one
+    where things went wrong, `chain` what happened from there to the end, `problems` the rules that failed.
     """
 
     episode: int
@@ -81,6 +81,7 @@ def diagnose(recording: ReviewedRecording, episode: int, rules: Sequence[tuple[s
                 f"rule {name} failed: {type(error).__name__}: {' '.join(str(error).split())[:300]}"
             )
     found.sort(key=lambda one: -one.finding.confidence)
+    key, note = _note(case)
     needed = SURE if case.failed else VERY_SURE
     borne_out = not case.failed and case.truly_reached is True
     sure = bool(found) and found[0].finding.confidence >= needed and not borne_out
@@ -95,7 +96,7 @@ def diagnose(recording: ReviewedRecording, episode: int, rules: Sequence[tuple[s
         reason=case.reason,
         mistaken=case.is_mistaken,
         with_truth=case.is_judged_by_truth,
-        note=_note(case),
+        note=note,
         verdict=verdict,
         layer="" if lead is None else lead.layer,
         frame=frame,
@@ -104,6 +105,7 @@ def diagnose(recording: ReviewedRecording, episode: int, rules: Sequence[tuple[s
         findings=tuple(found),
         chain=() if lead is None else _chain(case, lead),
         problems=tuple(problems),
+        key=key,
     )
 
 
@@ -142,8 +144,16 @@ def _ending(recording: ReviewedRecording) -> tuple[str, str]:
     return _BUDGET, f"where {_BUDGET}{told} was used up; raise it"
 
 
-def _note(case: EpisodeCase) -> str:
-    """What a reader must know beside the findings."""
+def _note(case: EpisodeCase) -> tuple[str, str]:
+    """The key that cut the episode short, if one did; and what a reader must know beside the findings."""
+    if case.reason == "out of time" and case.last == case.recording.frame_indices[-1]:
+        key, why = _ending(case.recording)
+        if key:
+            return key, f"the run ended at frame {case.last}, {why}"
+    return "", _circumstance(case)
+
+
+def _circumstance(case: EpisodeCase) -> str:
     if case.asks_for_nothing_there:
         return f"by the recorded truth there is no {' or '.join(sorted(case.wanted))}: nothing could be found"
     if case.touched is not None:

@@ -77,7 +77,8 @@ class Rule:
 class Query:
     """A sentence that was grounded in one or both runs: the best viewpoints, and what was asked for.
 
-    `best_a_in_b` is the rank of A's winner among B's candidates, None where it is none of them.
+    `best_a_in_b` is the rank of A's winner among B's candidates, None where it is none of them. `only_in`
+    is the side (a, b) that alone was asked; empty where both were.
     """
 
     query: str
@@ -86,6 +87,7 @@ class Query:
     top_b: tuple[tuple[str, float | None], ...]
     best_a_in_b: int | None
     best_b_in_a: int | None
+    only_in: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,6 +323,7 @@ def _queries(ours: Sequence[Json], theirs: Sequence[Json]) -> tuple[Query, ...]:
                 tops[1],
                 _rank(lists[0], lists[1]),
                 _rank(lists[1], lists[0]),
+                "a" if other is None else "b" if one is None else "",
             )
         )
     return tuple(found)
@@ -340,17 +343,19 @@ def _rank(winner_of: Sequence[Json], among: Sequence[Json]) -> int | None:
 
 
 def _episodes(ours: Sequence[Json], theirs: Sequence[Json]) -> tuple[Episode, ...]:
-    by_number: list[dict[int, Json]] = [{row["episode"]: row for row in rows} for rows in (ours, theirs)]
+    """Every episode of either run; one of another goal is another episode, whatever its number."""
+    sides: list[dict[tuple[int, str], Json]] = [
+        {(row["episode"], row["goal"]): row for row in rows} for rows in (ours, theirs)
+    ]
     found = []
-    for number in sorted({*by_number[0], *by_number[1]}):
-        one, other = (side.get(number) for side in by_number)
+    for number, goal in sorted({**sides[0], **sides[1]}, key=lambda key: key[0]):
+        one, other = (side.get((number, goal)) for side in sides)
         values = [{} if row is None else row["values"] for row in (one, other)]
         differing = {
             name: (values[0].get(name), values[1].get(name))
             for name in dict.fromkeys([*values[0], *values[1]])
             if values[0].get(name) != values[1].get(name)
         }
-        goal = (one or other or {})["goal"]
         found.append(Episode(number, goal, _outcome(one), _outcome(other), differing))
     return tuple(found)
 

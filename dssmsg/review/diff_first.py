@@ -12,7 +12,7 @@ the decision is the same (`diff_decision`).
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Any
@@ -278,10 +278,31 @@ def _first_row(a: Recording, b: Recording, rows: _Rows) -> tuple[Divergence | No
     texts = a.told.texts(rows.table), b.told.texts(rows.table)
     for one, other, same in _differing_rows(a, b, rows.table, texts, rows.decision):
         if not same:
-            return _row_divergence(rows, one, other), traces
+            return _other_goal(a, b, rows, one, other) or _row_divergence(rows, one, other), traces
         if NUMBERS not in traces:
             traces[NUMBERS] = _row_divergence(rows, one, other)
     return None, traces
+
+
+def _other_goal(
+    a: Recording, b: Recording, rows: _Rows, one: Json | None, other: Json | None
+) -> Divergence | None:
+    """Where the rows are about the first goals in which the missions differ: no layer decided that."""
+    goals = next((pair for pair in zip_longest(_goals(a), _goals(b)) if pair[0] != pair[1]), None)
+    if goals is None or goals != tuple(None if row is None else row[rows.key] for row in (one, other)):
+        return None
+    frame = min(int(row["frame"]) for row in (one, other) if row is not None)
+    sides = ("no goal" if goal is None else str(goal) for goal in goals)
+    return parted(max(0, frame), "mission", "mission", "another goal is sought", sides, fields=("goal",))
+
+
+def _goals(recording: Recording) -> Sequence[Any]:
+    """The sentences that a run was to seek."""
+    mission = recording.config.get("mission")
+    if not isinstance(mission, Mapping) or "seek" not in (mission.get("phases") or ()):
+        return ()
+    goals = mission.get("goals")
+    return goals if isinstance(goals, list) else ()
 
 
 def _row_divergence(rows: _Rows, one: Json | None, other: Json | None) -> Divergence:

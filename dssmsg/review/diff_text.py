@@ -142,6 +142,11 @@ def _brief(one: ObjectBrief) -> str:
 
 
 def _query(one: Query) -> Iterator[str]:
+    if one.only_in:
+        top = one.top_a or one.top_b
+        yield f"“{one.query}”: asked in {one.only_in.upper()} alone"
+        yield f"  {one.only_in.upper()}  {_candidates(top)}"
+        return
     same = one.top_a == one.top_b
     target = "" if one.target_same else "; another target graph"
     yield f"“{one.query}”: " + ("the same ranks" if same else "other ranks or scores") + target

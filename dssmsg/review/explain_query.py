@@ -106,9 +106,9 @@ def explain_match(match: Json, grounding: Json, *, recorded: bool) -> QueryExpla
         place = _waypoint(first)
         runner_up = next((one for one in others if _waypoint(one) != place), others[0])
         comparisons.append(_compare("runner-up", first, runner_up, weights))
-        another = next(
-            (one for one in others if one["matching"].get(core) != first["matching"].get(core)), None
-        )
+        taken = first["matching"].get(core)
+        # Where nothing was taken for the core, there is no other thing to speak of.
+        another = next((one for one in others if one["matching"].get(core, taken) != taken), None)
         if another is not None and another is not runner_up:
             comparisons.append(_compare("best with another thing", first, another, weights))
     return QueryExplained(

@@ -65,22 +65,32 @@ class Life:
         }
 
 
+_FOREVER = 2**62
 _IDENTITY_KINDS = (ObjectAdded.kind, ObjectsJoined.kind, ObjectRemoved.kind)
 
 
 def life_of(recording: Recording, object_id: str) -> Life:
-    """The life of an object. Raises InputError, naming some that there are, where it never was."""
+    """The life of an object, which a former place of it (`history-2`) names too.
+
+    Raises InputError, naming some that there are, where it never was.
+    """
+    graph = recording.graph_at()
+    if object_id in graph.history:
+        object_id = graph.history[object_id].object_id
     identities = list(recording.changes(kinds=_IDENTITY_KINDS))
     known = [c.object_id for c in identities if isinstance(c, ObjectAdded)]
     if object_id not in known:
         some = f"{known[0]} to {known[-1]}" if known else "none at all"
         raise InputError(f"there is no object '{object_id}' in the recording; it has {some}", key="--object")
-    ids = _ids(identities, object_id)
+    until = _ids(identities, object_id)
+    ids = tuple(until)
     events = sorted(
-        [*_told(list(recording.changes(about=ids)), ids), *_windows(recording.told.windows_about(ids), ids)],
+        [
+            *_told(list(recording.changes(about=ids)), ids),
+            *_windows(recording.told.windows_about(ids), until),
+        ],
         key=lambda event: (event.frames[0], event.frames[-1]),
     )
-    graph = recording.graph_at()
     last = next((i for i in reversed(ids) if i in graph.objects), None)
     end: dict[str, Any] = {"in_graph": last is not None}
     if last is not None:
@@ -101,6 +111,8 @@ def life_of(recording: Recording, object_id: str) -> Life:
                     "center": [round(float(c), 3) for c in (place.box_min + place.box_max) / 2],
                     "from_time": place.from_time,
                     "to_time": place.to_time,
+                    "from_frame": recording.frame_at_time(place.from_time),
+                    "to_frame": recording.frame_at_time(place.to_time),
                 }
                 for place in graph.history_of(last)
             ],
@@ -122,7 +134,9 @@ def life_text(life: Life) -> str:
         lines.append(f"  votes {votes}; {end['observations']} observations; dynamic attribute {d_a}")
         for place in end["former_places"]:
             was = ", ".join(f"{c:.2f}" for c in place["center"])
-            lines.append(f"  was at ({was}) m from {place['from_time']:.1f} s to {place['to_time']:.1f} s")
+            first = f"from frame {place['from_frame']} ({place['from_time']:.1f} s) on"
+            then = f"found elsewhere in frame {place['to_frame']} ({place['to_time']:.1f} s)"
+            lines.append(f"  was at ({was}) m {first}, {then} ({place['id']})")
     else:
         lines.append(f"{life.object_id}: not in the graph at the end")
     if len(life.ids) > 1:
@@ -138,15 +152,16 @@ def _score(name: str, value: float, threshold: float | None) -> str:
     return f"{name} {value:.2f}" + ("" if threshold is None else f" against {threshold:g}")
 
 
-def _ids(changes: Iterable[Change], object_id: str) -> tuple[str, ...]:
-    """The id, and the ids that it went on as after it was absorbed or retired."""
-    ids = [object_id]
+def _ids(changes: Iterable[Change], object_id: str) -> dict[str, int]:
+    """The id, and those that it went on as after it was absorbed or retired; each with its last frame."""
+    until: dict[str, int] = {}
+    current = object_id
     for change in changes:
-        if isinstance(change, ObjectsJoined) and change.absorbed_id == ids[-1]:
-            ids.append(change.object_id)
-        elif isinstance(change, ObjectRemoved) and change.object_id == ids[-1] and change.successor_id:
-            ids.append(change.successor_id)
-    return tuple(ids)
+        if isinstance(change, ObjectsJoined) and change.absorbed_id == current:
+            until[current], current = change.frame, change.object_id
+        elif isinstance(change, ObjectRemoved) and change.object_id == current and change.successor_id:
+            until[current], current = change.frame, change.successor_id
+    return {**until, current: _FOREVER}
 
 
 def _told(changes: Sequence[Change], ids: Sequence[str]) -> Iterator[LifeEvent]:
@@ -219,14 +234,18 @@ def _scores(change: Change) -> dict[str, tuple[float, float | None]]:
     return {score.name: (score.value, score.threshold) for score in change.scores}
 
 
-def _windows(windows: Iterable[WindowEvaluated], ids: Sequence[str]) -> Iterator[LifeEvent]:
-    """What the viewpoints' windows said: evidence in a row told together, verdicts by themselves."""
+def _windows(windows: Iterable[WindowEvaluated], until: Mapping[str, int]) -> Iterator[LifeEvent]:
+    """What the viewpoints' windows said: evidence in a row told together, verdicts by themselves.
+
+    `until`: the ids in order with their last frames. In that frame the next one has taken over already.
+    """
     row: list[tuple[int, float, str]] = []
     for window in windows:
+        current = next(name for name, last in until.items() if window.frame < last)
         said = [
             (evidence.frame, window.sim_time, evidence.verdict)
             for evidence in window.evidence
-            if evidence.object_id in ids and evidence.frame == window.frame
+            if evidence.object_id == current and evidence.frame == window.frame
         ]
         for item in said:
             if row and row[-1][2] != item[2]:
@@ -234,7 +253,7 @@ def _windows(windows: Iterable[WindowEvaluated], ids: Sequence[str]) -> Iterator
                 row = []
             row.append(item)
         for object_id, verdict in window.verdicts.items():
-            if object_id in ids:
+            if object_id == current:
                 base = ", ".join(map(str, window.base))
                 yield LifeEvent(
                     (window.frame,),

@@ -221,7 +221,7 @@ def pictures(recording: Recording) -> Markup:
         if len(chosen) < MAX_PICTURES and index not in chosen:
             chosen.append(index)
     figures = (
-        frame_picture(recording, index, f"frame {index}. {'; '.join(captions.get(index, ()))}")
+        frame_picture(recording, index, "; ".join((f"frame {index}", *captions.get(index, ()))))
         for index in sorted(chosen)
     )
     return tag("div", *(figure for figure in figures if figure is not None), class_="grid")

@@ -336,15 +336,11 @@ def load_scene(name: str, *, base_dir: Path | None = None) -> Scene:
     if name in STOCK_SCENES:
         text = (resources.files("dssmsg") / "data" / "scenes" / f"{name}.yaml").read_text(encoding="utf-8")
         return parse_scene(text, file=f"{name}.yaml")
-    if name.startswith("generated:"):
-        seed = name.partition(":")[2]
-        if not re.fullmatch(r"[0-9]{1,9}", seed):
-            raise ConfigError(
-                f"expected generated:<seed> with a seed of 1 to 9 digits, got {name!r}", key="source.scene"
-            )
+    seed = generated_seed(name)
+    if seed is not None:
         from dssmsg.sim.generate import generate_scene
 
-        return generate_scene(int(seed))
+        return generate_scene(seed)
     if not name.endswith((".yaml", ".yml")):
         choices = ", ".join((*STOCK_SCENES, "generated:<seed>", "or a path to a .yaml file"))
         raise ConfigError(f"unknown scene {name!r}; known: {choices}", key="source.scene")
@@ -359,6 +355,18 @@ def load_scene(name: str, *, base_dir: Path | None = None) -> Scene:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the scene file: {error}", file=path, key="source.scene") from None
     return parse_scene(text, file=path)
+
+
+def generated_seed(name: str) -> int | None:
+    """The seed of `generated:<seed>`; None for another scene. Raises ConfigError as `load_scene` does."""
+    kind, _, seed = name.partition(":")
+    if kind != "generated":
+        return None
+    if not re.fullmatch(r"[0-9]{1,9}", seed):
+        raise ConfigError(
+            f"expected generated:<seed> with a seed of 1 to 9 digits, got {name!r}", key="source.scene"
+        )
+    return int(seed)
 
 
 def parse_scene(text: str, *, file: Path | str) -> Scene:

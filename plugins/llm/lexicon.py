@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from dssmsg.dynamic_attribute import ROLE
-from dssmsg.errors import ConfigError, PluginError
+from dssmsg.errors import ConfigError, NotUnderstood, PluginError
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.llm import Answer, Message
 from dssmsg.llm_requests import parse_answer
@@ -64,7 +64,7 @@ class Lexicon:
     def complete(self, role: str, messages: Sequence[Message], schema: Mapping[str, Any]) -> Answer:
         """The answer for a role, from the last user message.
 
-        Raises PluginError where the tables have nothing to say, or for a role that it does not know.
+        Raises NotUnderstood where the tables have nothing to say, PluginError for a role that is not known.
         """
         from dssmsg.lexicon.target import NoTarget
 
@@ -75,7 +75,7 @@ class Lexicon:
             targets, movement = self._parts
             value = targets.of(text) if role != ROLE else {ROLE: movement.answer(text)}
         except NoTarget as error:
-            raise PluginError(str(error), plugin=PLUGIN) from None
+            raise NotUnderstood(str(error), plugin=PLUGIN) from None
         answer = json.dumps(value)
         try:
             return Answer(parse_answer(answer, schema), answer)

@@ -18,6 +18,7 @@ from dssmsg.recording.writing import Settings, WriterThread
 if TYPE_CHECKING:
     from dssmsg.events import Event
     from dssmsg.interfaces import Context
+    from dssmsg.recording.reader import Recording
 
 
 class Config(PluginConfig):
@@ -50,17 +51,25 @@ class Config(PluginConfig):
 
 
 class RerunObserver:
-    """Writes every event to a recording. If writing failed, the next call raises StorageError."""
+    """Writes every event to a recording. If writing failed, the next call raises StorageError.
+
+    Raises InputError if `copy_images` does not read.
+    """
 
     def __init__(self, config: Config, context: Context) -> None:
-        copied = None if config.copy_images is None else context.base_dir / config.copy_images
+        self._copied: Recording | None = None
+        if config.copy_images is not None:
+            from dssmsg.recording.reader import Recording
+
+            # Held open: the writer, in whichever process, reads the copy that was repaired in this one.
+            self._copied = Recording.open(context.base_dir / config.copy_images)
         self._settings = Settings(
             Path(context.run_dir) / f"{context.run_id}.rrd",
             context.run_id,
             config.images,
             config.quality,
             config.layout,
-            copied,
+            None if self._copied is None else self._copied.readable_path,
             config.flush_secs,
             config.queue_size,
         )
@@ -81,6 +90,13 @@ class RerunObserver:
 
     def close(self) -> None:
         """Write what is queued, and compact the file. Raises StorageError if writing failed."""
+        try:
+            self._finish()
+        finally:
+            if self._copied is not None:
+                self._copied.close()
+
+    def _finish(self) -> None:
         if self._thread is None:
             if self._far is not None:
                 self._far.close()

@@ -34,7 +34,8 @@ class RecordedPerception:
     """Gives recorded detections by frame index. Raises InputError if the recording has none."""
 
     def __init__(self, config: Config, context: Context) -> None:
-        from dssmsg.recording.reader import Recording, newest
+        from dssmsg.recording.newest import newest
+        from dssmsg.recording.reader import Recording
 
         path = context.base_dir / config.recording
         self._recording = Recording.open(newest(path) if path.is_dir() else path)

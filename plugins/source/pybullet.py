@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from dssmsg.errors import DssmsgError
 from dssmsg.frame import Camera, Frame
 from dssmsg.hookspecs import PluginConfig, Register, hookimpl
 from dssmsg.interfaces.source import Command, SourceInfo
-from dssmsg.sim.scene import Obstacle
+from dssmsg.sim.scene import Obstacle, generated_seed, load_scene
 
 if TYPE_CHECKING:
-    from dssmsg.interfaces import Context
+    from dssmsg.interfaces import Context, Encoder
 
 ChangeKind = Literal["appear", "disappear", "near", "far", "swap", "put_back", "occluder", "door", "light"]
 HORIZONTAL_FOV_RAD = math.radians(69.4)  # RealSense D435, colour
@@ -60,6 +63,16 @@ class Config(PluginConfig):
     obstacles: tuple[Obstacle, ...] = Field(
         default=(), max_length=50, description="pieces that appear ahead of the robot on its way"
     )
+
+    def problems(self, base_dir: Path, encoder: Encoder | None) -> Sequence[str]:
+        """An unknown scene, or a file that is none; a generated one takes too long to try."""
+        try:
+            if generated_seed(self.scene) is None:
+                load_scene(self.scene, base_dir=base_dir)
+        except DssmsgError as error:
+            inside = None if error.key == "source.scene" else error.key
+            return [": ".join(part for part in ("scene", error.file, inside, error.message) if part)]
+        return []
 
 
 class SimulatedSource:
