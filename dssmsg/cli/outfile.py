@@ -1,4 +1,4 @@
-"""The file that a command writes: refused before the work where it must not be, written whole or not at all."""
+"""The file that a command writes: refused before the work where it must not be, else written whole."""
 
 from __future__ import annotations
 
