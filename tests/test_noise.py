@@ -118,4 +118,4 @@ def test_fast_enough() -> None:
         start = time.perf_counter()
         PRESETS["realistic"].apply(view, rng)
         seconds.append(time.perf_counter() - start)
-    assert min(seconds) < 0.02  # about 2 ms on an idle core; the limit only catches a change of kind
+    assert min(seconds) < 0.2  # about 2 ms on an idle core; the limit only catches a change of kind
