@@ -12,7 +12,7 @@ from dssmsg.sim.generate import generate_scene
 from dssmsg.sim.scene import Scene, load_scene
 from dssmsg.sim.tour import estimate, tour_of
 
-SEEDS = (0, 3, 8)
+SEEDS = (0, 8)
 
 
 @functools.cache
@@ -51,4 +51,4 @@ def test_rooms_hold_what_their_type_asks_for() -> None:
 def test_the_same_seed_gives_the_same_home_and_another_seed_another() -> None:
     first = load_scene(f"generated:{SEEDS[1]}")
     assert first == home(SEEDS[1])
-    assert first != home(SEEDS[2])
+    assert first != home(SEEDS[0])

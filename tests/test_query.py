@@ -48,9 +48,8 @@ def test_for_a_reader_it_prints_scores_and_reasons(tmp_path, oracle_run):
     assert "more" in done.out.splitlines()[-1]
 
 
-@pytest.mark.parametrize("sentence", ["xyzzy", "\N{DUCK}", "x" * 5000])
-def test_a_sentence_that_is_not_understood_is_bad_input(tmp_path, oracle_run, sentence):
-    done = query(tmp_path, oracle_run, sentence, "--json")
+def test_a_sentence_that_is_not_understood_is_bad_input(tmp_path, oracle_run):
+    done = query(tmp_path, oracle_run, "\N{DUCK}" + "x" * 5000, "--json")
     assert done.code == 2
     assert (done.json["error"]["kind"], done.json["error"]["key"]) == ("input", "TEXT")
     assert re.search(r"^error: TEXT: no (known )?object, purpose or room in '.{,90}\(English only", done.err)

@@ -82,7 +82,7 @@ def test_without_truth_the_log_is_the_same(tmp_path):
     ):
         folder = tmp_path / name
         folder.mkdir()
-        run = real_run(folder, "mission.max_frames=40", *sets)  # with the default perception
+        run = real_run(folder, "mission.max_frames=25", *sets)  # with the default perception
         assert run.summary["key_frames"] > 5
         logs.append(run.change_log.read_bytes())
     assert logs[0] == logs[1]

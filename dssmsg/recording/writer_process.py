@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import pickle
 import queue
 import threading
@@ -184,6 +185,8 @@ _CROSSING: dict[type, Callable[[Any], Any]] = {np.ndarray: _array, MappingProxyT
 
 def _serve(settings: Settings, pipe: Connection) -> None:
     leave_group()
+    if hasattr(os, "nice"):
+        os.nice(10)  # nobody waits for it before the end: where cores are scarce the mission goes first
     import dssmsg.recording.writer  # noqa: F401 - takes a second: while the mission is put together
 
     waiting: queue.Queue[bytes] = queue.Queue(settings.queue_size)
