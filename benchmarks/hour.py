@@ -111,7 +111,8 @@ class HourRun(SyntheticRun):
             ev.Candidate(name, rank, {"score": 2.0 / rank, "s_node": 1.0 / rank}, {"0": "object-4"}, "a lamp")
             for rank, name in enumerate(self.live.viewpoints, 1)
         )
-        yield ev.Matched(goal, index, now, {"nodes": [{"label": "lamp"}], "edges": []}, candidates)
+        target = {"kind": "explicit", "nodes": [{"label": "lamp", "attributes": []}], "edges": [], "core": 0}
+        yield ev.Matched(goal, index, now, target, candidates)
         yield ev.EpisodeEnded(number, goal, "success", "", index, now, {"spl": 0.9})
 
 

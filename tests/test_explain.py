@@ -5,7 +5,9 @@ import re
 
 import pytest
 from changing_room import ChangingRoom
+from planted_run import PlantedRun
 from project import project
+from recorded_run import record
 from rerun.chunk import RrdReader
 from test_update_dssm import BALL, ROOM, box
 from typer.testing import CliRunner
@@ -70,6 +72,14 @@ def test_what_is_left_empty_is_named(tmp_path):
             done = project(tmp_path).run("explain", option, empty)
             assert done.code == 2
             assert done.err == f"error: {option}: expected {expected}\n"
+
+
+@pytest.mark.parametrize("asked", [("--episode", "0"), ("--query", "the mug")])
+def test_a_target_graph_that_is_none_is_said_with_the_file(tmp_path, asked):
+    record(PlantedRun(), tmp_path / "run.rrd")  # its target graph has a core and no nodes
+    done = project(tmp_path).run("explain", "run.rrd", *asked)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.splitlines()[-1].startswith("error: run.rrd: the target graph of a match: damaged")
 
 
 def test_evidence_in_a_row_is_told_together(moved):

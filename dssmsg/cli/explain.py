@@ -140,12 +140,14 @@ def show_query_explained(
     with stdout_to_stderr():
         from dssmsg.recording.reader import Recording
         from dssmsg.review.explain_query import explain_match, query_explained_json, query_explained_text
+        from dssmsg.review.match import whole_match
 
         with Recording.open(path) as opened:
             warn_of_cuts(opened)
             match = next((one for one in reversed(opened.matches()) if one["query"] == sentence), None)
             if match is not None:
-                told = explain_match(match, opened.config.get("grounding", {}), recorded=True)
+                options = opened.config.get("grounding", {})
+                told = explain_match(whole_match(match, path), options, recorded=True)
             else:
                 told = explain_match(*_grounded_anew(opened, sentence, config, sets), recorded=False)
     if as_json:

@@ -19,6 +19,7 @@ from dssmsg.graph.nodes import DISAPPEARED
 from dssmsg.interfaces.source import Command
 from dssmsg.recording.reader import Recording
 from dssmsg.review.episode_map import MapHistory, ObjectHistory
+from dssmsg.review.match import whole_match
 
 Json = Mapping[str, Any]
 MIN_PIXELS = 200
@@ -134,7 +135,7 @@ class EpisodeCase:
     @cached_property
     def match(self) -> Json | None:
         """The grounded query: target graph and candidates, best first; None if it never got there."""
-        return next(
+        match = next(
             (
                 match
                 for match in self.recording.matches()
@@ -142,6 +143,7 @@ class EpisodeCase:
             ),
             None,
         )
+        return None if match is None else whole_match(match, self.recording.path)
 
     @cached_property
     def calls(self) -> Sequence[Json]:
