@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 
 VALUES = {
     "errors", "config_yaml", "frame", "events", "geometry", "neighbours", "interfaces", "checks", "processes",
+    "target_graph",
 }  # fmt: skip
 """What everybody may build on: values, contracts, exact geometry. Among themselves: see `ALLOWED`."""
 HOST = {
@@ -35,6 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "events": {"frame", "graph", "interfaces"},  # `interfaces` for annotations only
     "interfaces": {"frame", "events", "graph"},
     "checks": {"frame", "events", "graph", "interfaces"},
+    "target_graph": {"interfaces"},
     "graph": {"errors", "frame", "geometry", "neighbours"},
     "baselines": {"cluster", "frame", "geometry", "graph"},
     # the host and what stands beside it

@@ -16,7 +16,8 @@ from dssmsg.checks import check_answer
 from dssmsg.dynamic_attribute import DYNAMIC_ATTRIBUTE_SCHEMA, DynamicAttributes
 from dssmsg.errors import ConfigError, NotUnderstood, PluginError
 from dssmsg.interfaces.llm import Message
-from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
+from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, target_graph_request
+from dssmsg.target_graph import parse_target_graph
 
 
 def lexicon(base=Path("/"), **options):

@@ -17,7 +17,8 @@ from dssmsg.checks import check_answer, check_findings
 from dssmsg.errors import ConfigError, InputError, PluginError
 from dssmsg.interfaces.llm import Message
 from dssmsg.llm_requests import parse_answer, request_hash, schema_faults
-from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
+from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, target_graph_request
+from dssmsg.target_graph import parse_target_graph
 
 ATTRIBUTE_SCHEMA = {
     "type": "object",

@@ -27,7 +27,8 @@ from dssmsg.llm.rate_limits import LONGEST_SECS, quiet_secs, wait_secs
 from dssmsg.llm.secrets import HIDDEN, Redactor, environment_secrets
 from dssmsg.llm.wire_schema import schema_words, strict_schema
 from dssmsg.llm_requests import parse_answer, schema_faults
-from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph
+from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA
+from dssmsg.target_graph import parse_target_graph
 
 NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
 

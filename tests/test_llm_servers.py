@@ -21,7 +21,8 @@ from llm_server import LlmServer, good
 from dssmsg.errors import ConfigError, PluginError
 from dssmsg.interfaces import Message
 from dssmsg.interfaces.llm import Exchange
-from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
+from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, target_graph_request
+from dssmsg.target_graph import parse_target_graph
 
 KEY = "sk-test-0123456789abcdef"
 PROTOCOLS = ("openai", "anthropic")

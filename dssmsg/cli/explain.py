@@ -164,7 +164,7 @@ def _grounded_anew(
     from dssmsg.cli.query import plugins_over, target_of
     from dssmsg.config import load_config
     from dssmsg.host import Host
-    from dssmsg.mission.goal import target_graph_json
+    from dssmsg.target_graph import target_graph_json
 
     resolved = load_config(config, sets=sets)
     graph = recording.graph_at()

@@ -75,9 +75,9 @@ def show_query(
     with stdout_to_stderr():
         from dssmsg import checks
         from dssmsg.config import load_config
-        from dssmsg.mission.goal import target_graph_json
         from dssmsg.recording.reader import Recording
         from dssmsg.review.query import query_json, query_text
+        from dssmsg.target_graph import target_graph_json
 
         resolved = load_config(config, sets=sets)
         with Recording.open(path) as opened:
@@ -170,7 +170,8 @@ def target_of(llm: Llm, sentence: str, config: RunConfig, *, key: str) -> Target
     Raises InputError where it is not understood, PluginError where the language model fails.
     """
     from dssmsg.errors import InputError, NotUnderstood, PluginError
-    from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
+    from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, target_graph_request
+    from dssmsg.target_graph import parse_target_graph
 
     try:
         answer = llm.complete("target_graph", target_graph_request(sentence), TARGET_GRAPH_SCHEMA)

@@ -29,8 +29,9 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.graph.view import GraphView
 from dssmsg.host import Host
 from dssmsg.interfaces import SourceInfo, TargetGraph
-from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, parse_target_graph, target_graph_request
+from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, target_graph_request
 from dssmsg.recording.reader import Recording
+from dssmsg.target_graph import parse_target_graph
 
 TABLE = "table4"
 WHEN = ("static", "changed")

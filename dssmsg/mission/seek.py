@@ -21,14 +21,10 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.guard import Guard
 from dssmsg.interfaces import Command, FeelsTouch, Grounding, Llm, Navigation, Step, TargetGraph
 from dssmsg.mission.bus import ObserverBus
-from dssmsg.mission.goal import (
-    TARGET_GRAPH_SCHEMA,
-    parse_target_graph,
-    target_graph_json,
-    target_graph_request,
-)
+from dssmsg.mission.goal import TARGET_GRAPH_SCHEMA, target_graph_request
 from dssmsg.mission.pipeline import Pipeline
 from dssmsg.navigation.pose import floor_place
+from dssmsg.target_graph import parse_target_graph, target_graph_json
 
 SUCCESS, SEEN, COLLISION = "success", "seen", "collision"
 IN_VIEW_M = 4.0

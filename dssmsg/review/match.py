@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dssmsg.mission.goal import parse_target_graph, target_graph_json
 from dssmsg.recording.damage import reading
+from dssmsg.target_graph import parse_target_graph, target_graph_json
 
 Json = Mapping[str, Any]
 
