@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -15,7 +14,7 @@ from dssmsg.graph import codec
 from dssmsg.graph.changes import Change
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import schema, snapshots
-from dssmsg.recording.damage import reading
+from dssmsg.recording.damage import json_value, reading
 from dssmsg.recording.frame_table import FrameTable
 from dssmsg.recording.store import ChunkFile
 
@@ -50,7 +49,7 @@ class ChangeLog:
             return len(self._table)
         for number, text in enumerate(self._table.stream("json")):
             try:
-                change = codec.decode(json.loads(text), self._blobs)
+                change = codec.decode(json_value(text), self._blobs)
             except (InputError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
                 return number
             if change.update != number + 1:
@@ -96,7 +95,7 @@ class ChangeLog:
         """The JSON rows of changes, arrays as hashes; see `changes` for what is chosen."""
         with reading(self._path, "the changes"):
             if not (about or kinds or after):
-                yield from (json.loads(text) for text in self.texts())
+                yield from (json_value(text) for text in self.texts())
                 return
             for place in self._chosen(about, kinds, after):
                 yield self._row(place)
@@ -193,7 +192,7 @@ class ChangeLog:
         ]
 
     def _row(self, place: int) -> Json:
-        row: Json = json.loads(self._table.value("json", place))
+        row: Json = json_value(self._table.value("json", place))
         return row
 
     def _chosen(self, about: Collection[str], kinds: Collection[str], after: int) -> Iterator[int]:

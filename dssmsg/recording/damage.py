@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import orjson
+
 from dssmsg.errors import InputError
 from dssmsg.graph.errors import GraphError
 
@@ -41,11 +43,21 @@ def reading(path: Path, what: str) -> Iterator[None]:
         raise InputError(f"{what}: damaged (claims more than fits in memory)", file=path) from error
 
 
+def json_value(text: str) -> Any:
+    """The value of a JSON text. Raises ValueError or RecursionError if it is none."""
+    try:
+        return orjson.loads(text)
+    except orjson.JSONDecodeError:
+        return json.loads(
+            text
+        )  # halves of surrogate pairs, which an LLM may answer with, and what is damaged
+
+
 def json_object(text: Any) -> dict[str, Any]:
     """The JSON object of a text. Raises ValueError if it is none, or nested deeper than `MAX_DEPTH`."""
     if not isinstance(text, str):
         raise ValueError(f"expected JSON text, got {type(text).__name__}")
-    value = json.loads(text)
+    value = json_value(text)
     if not isinstance(value, dict):
         raise ValueError(f"expected a JSON object, got {type(value).__name__}")
     level: list[Any] = [value]

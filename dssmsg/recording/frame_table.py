@@ -201,6 +201,18 @@ class FrameTable:
         self.of(index)
         return self._pose(index, "world_from_camera"), self._pose(index, "world_from_base")
 
+    @cached_property
+    def floor_poses(self) -> Mapping[int, tuple[float, float, float]]:
+        """Where the base stood in every frame: x, y (metres) and heading (radians), by index."""
+        with reading(self._path, "world_from_base of the frames"):
+            cells = self._file.table(schema.FRAMES).cells("world_from_base")
+            poses = np.array(cells, dtype=np.float64).reshape(-1, 4, 4)
+            if not np.isfinite(poses).all():
+                raise ValueError("expected 16 finite numbers a frame")
+            headings = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+            places = np.column_stack([poses[:, 0, 3], poses[:, 1, 3], headings]).tolist()
+        return {index: tuple(places[row]) for index, row in self._rows.items()}
+
     def camera(self) -> Camera | None:
         """The intrinsics of the first frame; None if there is none."""
         return next((self._camera(index) for index in self.facts), None)

@@ -217,6 +217,14 @@ class Recording:
         """
         return self._frames.poses(index)
 
+    def floor_pose(self, index: int) -> tuple[float, float, float]:
+        """Where the base stood at a frame: x, y (metres) and heading (radians).
+
+        Raises InputError if there is no such frame.
+        """
+        self._frames.of(index)
+        return self._frames.floor_poses[index]
+
     def sim_time(self, index: int) -> float:
         """The source's clock at a frame, in seconds. Raises InputError if there is no such frame."""
         return self._frames.of(index).sim_time

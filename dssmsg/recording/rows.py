@@ -15,6 +15,7 @@ import numpy as np
 from dssmsg import events
 from dssmsg.frame import Detection, Float32Array, MaskArray, Truth, TruthObject
 from dssmsg.interfaces.source import Command
+from dssmsg.recording.damage import json_value
 from dssmsg.recording.images import decode_bits, encode_bits, encode_instances, encode_masks
 
 Row = dict[str, Any]
@@ -124,7 +125,7 @@ def kept_from_row(row: Mapping[str, Any]) -> dict[int, MaskArray] | None:
     """What was kept of each lifted detection, by its index; None where the row does not say."""
     if row["kept"] is None:
         return None
-    lifted = [one["detection"] for one in json.loads(row["observations"])]
+    lifted = [one["detection"] for one in json_value(row["observations"])]
     return dict(zip(lifted, decode_bits(row["kept"], row["voxels"]), strict=True))
 
 
@@ -134,7 +135,7 @@ def detections_from_row(row: Mapping[str, Any], masks: Any, features: Mapping[st
     def feature(name: str) -> Float32Array | None:
         return feature_of(features[name]) if name else None
 
-    runners_up = json.loads(row["label_scores"])
+    runners_up = json_value(row["label_scores"])
     boxes = np.asarray(row["boxes"], dtype=np.float64).reshape(-1, 4)
     return [
         Detection(
@@ -179,7 +180,7 @@ def truth_objects(text: str) -> tuple[TruthObject, ...]:
                 "box_max": np.array(thing["box_max"], dtype=np.float64),
             }
         )
-        for thing in json.loads(text)
+        for thing in json_value(text)
     )
 
 

@@ -6,7 +6,6 @@ schema it was stored in.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -16,7 +15,7 @@ from typing import Any, TypeVar
 from dssmsg import events
 from dssmsg.graph.verdicts import Evidence
 from dssmsg.recording import schema
-from dssmsg.recording.damage import reading
+from dssmsg.recording.damage import json_value, reading
 from dssmsg.recording.migrations import Migrations
 from dssmsg.recording.store import ChunkFile
 
@@ -240,7 +239,7 @@ def error(row: Json) -> events.ErrorOccurred:
 
 
 def _object(text: str) -> Json:
-    row = json.loads(text)
+    row = json_value(text)
     if not isinstance(row, dict):
         raise ValueError(f"expected a JSON object, got {type(row).__name__}")
     return row

@@ -20,6 +20,7 @@ from dssmsg.errors import DssmsgError
 from dssmsg.events import EpisodeEnded
 from dssmsg.recording import schema
 from dssmsg.recording.columns import component_of
+from dssmsg.recording.damage import json_value
 from dssmsg.recording.messages import has_footer
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.repair import check_recording
@@ -140,8 +141,8 @@ def _quick_entry(path: Path) -> RunEntry | None:
                     cells.setdefault((chunk.entity_path, name), []).extend(values.to_pylist())
         if cells[run, "schema_version"][-1] != [schema.SCHEMA_VERSION] or not cells[summary, "json"][-1]:
             return None
-        told = [_plain(episode(json.loads(cell[0]))) for cell in cells.get((episodes, column), ())]
-        facts = _facts(json.loads(cells[run, "json"][-1][0]))
+        told = [_plain(episode(json_value(cell[0]))) for cell in cells.get((episodes, column), ())]
+        facts = _facts(json_value(cells[run, "json"][-1][0]))
     except (DssmsgError, OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError):
         return None
     return RunEntry(facts, tuple(sorted(told, key=lambda one: int(one["episode"]))))

@@ -15,7 +15,7 @@ from itertools import zip_longest
 from statistics import fmean
 from typing import Any
 
-from dssmsg.recording.damage import reading
+from dssmsg.recording.damage import json_value, reading
 from dssmsg.recording.reader import Recording
 from dssmsg.review.diff_first import first_divergence
 from dssmsg.review.diff_objects import ObjectDifference, compare_objects, placed
@@ -293,7 +293,7 @@ def _rule_tables(a: Recording, b: Recording) -> tuple[_RuleTable, _RuleTable]:
                 continue
             with reading(recording.path, "the changes"):
                 if place == 0 or text != texts[0]:  # most changes of two runs are the same
-                    row = json.loads(text)
+                    row = json_value(text)
                 _add_scores(tables[place], row)
     return tables
 

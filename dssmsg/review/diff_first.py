@@ -11,14 +11,13 @@ the decision is the same (`diff_decision`).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Any
 
 from dssmsg.recording import schema
-from dssmsg.recording.damage import json_object, reading
+from dssmsg.recording.damage import json_object, json_value, reading
 from dssmsg.recording.describe import change_line
 from dssmsg.recording.reader import Recording
 from dssmsg.review.diff_decision import (
@@ -136,7 +135,7 @@ def _ends(calls: Sequence[Json]) -> Iterator[Json]:
 
 def _same_json(a: str, b: str) -> bool:
     try:
-        return bool(json.loads(a) == json.loads(b))
+        return bool(json_value(a) == json_value(b))
     except ValueError:
         return a == b
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -84,14 +84,18 @@ class ReviewedRecording(Recording):
         }
 
     @cached_property
+    def evidence(self) -> Mapping[str, Mapping[int, str]]:
+        """What key frames said of each object, by its id and the frame; the last window has the last word."""
+        said: defaultdict[str, dict[int, str]] = defaultdict(dict)
+        for window in self.windows():
+            for one in window["evidence"]:
+                said[one["object"]][one["frame"]] = one["verdict"]
+        return said
+
+    @cached_property
     def labels(self) -> Counter[str]:
         """How often each label was detected."""
         return Counter(one.label for seen in self.seen.values() for one in seen)
-
-    def base_pose(self, index: int) -> tuple[float, float, float]:
-        """Where the robot said it stood: x, y (metres) and heading (radians)."""
-        _, pose = self.poses(index)
-        return float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0])
 
     @cached_property
     def _cases(self) -> dict[int, EpisodeCase]:
@@ -308,8 +312,8 @@ def moves_of(recording: ReviewedRecording, frames: Sequence[int]) -> Iterable[Mo
         if command is None or previous < 0 or recording.visit(index) != recording.visit(previous):
             continue
         period = recording.sim_time(index) - recording.sim_time(previous)
-        x0, y0, heading0 = recording.base_pose(previous)
-        x1, y1, heading1 = recording.base_pose(index)
+        x0, y0, heading0 = recording.floor_pose(previous)
+        x1, y1, heading1 = recording.floor_pose(index)
         yield Move(
             frame=index,
             command=command,
@@ -321,6 +325,7 @@ def moves_of(recording: ReviewedRecording, frames: Sequence[int]) -> Iterable[Mo
         )
 
 
+@lru_cache(maxsize=4096)
 def words_of(text: str) -> tuple[str, ...]:
     """Lower-case words without plural s."""
     words = re.findall(r"[a-z0-9]+", text.lower().replace("_", " "))

@@ -94,7 +94,7 @@ class PoseRule(EpisodeRule[Config]):
         """The pose travels on while nothing tells the wheels to drive; noise would go nowhere."""
         recording, metres, periods, first = case.recording, 0.0, 0, -1
         for stretch in _stands(case.moves):
-            (x0, y0, _), (x1, y1, _) = (recording.base_pose(stretch[place].frame) for place in (0, -1))
+            (x0, y0, _), (x1, y1, _) = (recording.floor_pose(stretch[place].frame) for place in (0, -1))
             away = math.hypot(x1 - x0, y1 - y0)
             if first < 0 and away > self.config.drift_metres * (len(stretch) - 1):
                 first = stretch[0].frame

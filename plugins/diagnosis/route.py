@@ -43,7 +43,7 @@ class RouteRule(EpisodeRule[Config]):
         history = case.recording.history
         end = case.driving[-1] if case.driving else None
         frame = case.last if end is None else end["frame"]
-        x, y, _ = case.recording.base_pose(frame)
+        x, y, _ = case.recording.floor_pose(frame)
         away = {name: math.dist((x, y), place) for name, place in history.places.items()}
         nearest = sorted(away, key=lambda name: away[name])[:3]
         nearest = [name for name in nearest if name == nearest[0] or away[name] <= self.config.near]
@@ -91,7 +91,7 @@ class RouteRule(EpisodeRule[Config]):
         looks = [row["frame"] for row in case.driving if row["state"] == "look"]
         if goal is None or not looks:
             return
-        x, y, _ = case.recording.base_pose(looks[-1])
+        x, y, _ = case.recording.floor_pose(looks[-1])
         away = math.dist((x, y), goal)
         if away > self.config.near:
             yield Finding(

@@ -125,14 +125,9 @@ def _gone_at(thing: ObjectHistory, last: int) -> Fact | None:
 
 def _frames(case: EpisodeCase, object_id: str, verdicts: Sequence[str], until: int) -> list[int]:
     """Key frames that said so of an object, each once, ascending; since the last that said otherwise."""
-    said = {
-        e["frame"]: e["verdict"]
-        for window in case.recording.windows()
-        for e in window["evidence"]
-        if e["object"] == object_id and e["frame"] <= until
-    }
+    said = case.recording.evidence.get(object_id, {})
     run: list[int] = []
-    for frame in sorted(said):
+    for frame in sorted(frame for frame in said if frame <= until):
         if said[frame] in verdicts:
             run.append(frame)
         elif said[frame] in (SEEN, PRESENT, MISSED):

@@ -128,7 +128,7 @@ def _touched(case: EpisodeCase) -> Iterator[Finding]:
     hit = case.touched
     if hit is None or not case.things:
         return
-    x, y, _ = case.recording.base_pose(hit.frame)
+    x, y, _ = case.recording.floor_pose(hit.frame)
     names = _names(case, (x, y))
     if names:
         yield Finding(
