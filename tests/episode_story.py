@@ -148,6 +148,9 @@ class Story(ReviewedRecording):
     def camera(self):
         return CAMERA
 
+    def floor_pose(self, index):
+        return self.poses_xy[index]
+
     def poses(self, index):
         x, y, heading = self.poses_xy[index]
         base = np.eye(4)
