@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,6 +78,8 @@ class Host:
         self._registered: dict[tuple[str, str], Registration] = {}
         self._problems: list[Problem] = []
         self._paths: list[str] = []
+        self._left: dict[str, list[importlib.metadata.EntryPoint]] = {}
+        """Entry points that are not imported yet, by the kind that they are named after."""
         self._manager = pluggy.PluginManager(hookspecs.PROJECT)
         self._manager.add_hookspecs(hookspecs)
 
@@ -88,16 +90,20 @@ class Host:
         base_dir: Path | None = None,
         *,
         entry_points: Iterable[importlib.metadata.EntryPoint] | None = None,
+        kinds: Collection[str] = KINDS,
     ) -> Host:
         """A host with the installed plug-ins and those of `plugin_paths` (relative to `base_dir`).
 
-        `entry_points` None means those of this environment. Raises ConfigError for a path that is not
-        there; everything else that goes wrong is in `problems`.
+        `entry_points` None means those of this environment; one that is named after a kind that is not among
+        `kinds` is imported once its kind is asked for, for importing all takes half a second. Raises
+        ConfigError for a path that is not there; everything else that goes wrong is in `problems`.
         """
         host = cls()
         found = importlib.metadata.entry_points(group=GROUP) if entry_points is None else entry_points
         for entry_point in sorted(found, key=lambda one: (one.name, one.value)):
-            host._load_entry_point(entry_point)
+            host._left.setdefault(_kind_of(entry_point), []).append(entry_point)
+        for kind in ("", *kinds):
+            host._load_kind(kind)
         loaded: set[Path] = set()
         for index, path in enumerate(plugin_paths):
             for file in find_files(Path(path), base_dir or Path.cwd(), key=f"plugins[{index}]"):
@@ -118,6 +124,8 @@ class Host:
 
     def registrations(self, kind: str | None = None) -> tuple[Registration, ...]:
         """What is registered, sorted by kind (in the order of `KINDS`) and name."""
+        for one in KINDS if kind is None else (kind,):
+            self._load_kind(one)
         order = {one: place for place, one in enumerate(KINDS)}
         return tuple(
             sorted(
@@ -171,6 +179,7 @@ class Host:
         option, PluginError for a plug-in that failed to load.
         """
         key = key or kind
+        self._load_kind(kind)
         use, options = _parts(slot, key)
         if ":" in use:
             registration = self._from_class(kind, use, base_dir or Path.cwd(), key)
@@ -220,14 +229,16 @@ class Host:
 
     # Loading
 
-    def _load_entry_point(self, entry_point: importlib.metadata.EntryPoint) -> None:
+    def _load_kind(self, kind: str) -> None:
+        for entry_point in self._left.pop(kind, ()):
+            self._load_entry_point(entry_point, kind)
+
+    def _load_entry_point(self, entry_point: importlib.metadata.EntryPoint, kind: str) -> None:
         distribution = entry_point.dist
         package = distribution.name if distribution is not None else "unknown package"
         version = distribution.version if distribution is not None else ""
         origin = f"{package}: {entry_point.value}"
-        kind, _, name = entry_point.name.partition(".")
-        if kind not in KINDS:
-            kind, name = "", entry_point.name
+        name = entry_point.name.removeprefix(f"{kind}.")
         try:
             module = entry_point.load()
         except (Exception, SystemExit) as error:
@@ -316,13 +327,13 @@ class Host:
                 key=f"{key}.use",
             )
         known = [one.name for one in self.registrations(kind)]
-        if not self._registered:
+        if not self.registrations():
             raise ConfigError(
                 "no plug-ins are installed; install the project first: pip install -e . (or make run)",
                 key=f"{key}.use",
             )
         listed = f"known: {choices(known)}" if known else f"no {kind} plug-in is registered"
-        elsewhere = [one.kind for one in self._registered.values() if one.name == name]
+        elsewhere = [one.kind for one in self.registrations() if one.name == name]
         other = f" ('{name}' is of kind {choices(elsewhere)})" if elsewhere else ""
         raise ConfigError(
             f"unknown {kind} '{name}'{did_you_mean(name, known)}; {listed}{other}", key=f"{key}.use"
@@ -341,6 +352,12 @@ class Host:
             self._paths.append(origin)
         needs_truth = bool(getattr(made, "needs_truth", False))
         return Registration(kind, name, made, config, needs_truth, origin, "")
+
+
+def _kind_of(entry_point: importlib.metadata.EntryPoint) -> str:
+    """The kind that an entry point is named after, as in `perception.mine`; empty if after none."""
+    kind, dot, _ = entry_point.name.partition(".")
+    return kind if dot and kind in KINDS else ""
 
 
 def describe_error(error: BaseException) -> str:

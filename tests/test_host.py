@@ -212,6 +212,18 @@ def test_entry_points_are_loaded_guarded_and_one_at_a_time(tmp_path: Path) -> No
         host.build("llm", {"use": "good"}, contexts(host, tmp_path))
 
 
+def test_kinds_that_nobody_asks_for_are_not_imported(tmp_path: Path) -> None:
+    broken = EntryPoint("llm.bad", "dssmsg_not_there", "dssmsg")
+    unnamed = EntryPoint("theirs", "dssmsg_not_there_either", "dssmsg")
+    host = Host.load((), tmp_path, entry_points=(broken, unnamed), kinds=("diagnosis",))
+    assert [one.name for one in host.problems] == ["theirs"]  # it may register anything
+    assert host.registrations("diagnosis") == ()
+    assert len(host.problems) == 1
+    with pytest.raises(PluginError, match="llm/bad: failed to load"):
+        host.resolve("llm", {"use": "bad"})
+    assert [one.name for one in host.problems] == ["theirs", "bad"]
+
+
 def test_installed_package_with_an_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What `pip install` of somebody's package leaves behind, found without naming it anywhere."""
     project(

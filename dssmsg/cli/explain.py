@@ -109,14 +109,14 @@ def show_episode(
     with stdout_to_stderr():
         from dssmsg.cli.plugins import warn_of_failures
         from dssmsg.config import load_config
-        from dssmsg.evaluate.diagnosis_rules import build_rules
+        from dssmsg.evaluate.diagnosis_rules import RULES, build_rules
         from dssmsg.host import Host
         from dssmsg.review.diagnosis import diagnose, diagnosed_json, diagnosed_text
         from dssmsg.review.episode import ReviewedRecording
 
         resolved = load_config(config, sets=sets)
         with resolved.naming_files():
-            host = Host.load(resolved.plugins, resolved.base_dir)
+            host = Host.load(resolved.plugins, resolved.base_dir, kinds=RULES)
             rules = build_rules(resolved, host)
         warn_of_failures(host)
         with ReviewedRecording.open(path) as opened:

@@ -103,14 +103,14 @@ def _explainer(config: Path | None) -> Explain:
     from dssmsg.cli.plugins import warn_of_failures
     from dssmsg.config import load_config
     from dssmsg.errors import DssmsgError
-    from dssmsg.evaluate.diagnosis_rules import build_rules
+    from dssmsg.evaluate.diagnosis_rules import RULES, build_rules
     from dssmsg.host import Host
     from dssmsg.review.diagnosis import diagnose, diagnosed_text
     from dssmsg.review.episode import ReviewedRecording
 
     resolved = load_config(config)
     with resolved.naming_files():
-        host = Host.load(resolved.plugins, resolved.base_dir)
+        host = Host.load(resolved.plugins, resolved.base_dir, kinds=RULES)
         rules = build_rules(resolved, host)
     warn_of_failures(host)
 

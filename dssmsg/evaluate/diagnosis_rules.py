@@ -11,6 +11,9 @@ from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.host import Host
 from dssmsg.interfaces import Diagnosis
 
+RULES = ("diagnosis",)
+"""The kinds of plug-ins that a host needs for rules alone: `Host.load(..., kinds=RULES)`."""
+
 
 def build_rules(config: RunConfig, host: Host) -> list[tuple[str, Diagnosis]]:
     """The rules that `diagnosis` names, in its order; all that are registered where it names none.

@@ -380,9 +380,12 @@ class Recording:
         """Episodes ended: episode, goal, outcome, reason, frame, values."""
         return self.told.json(schema.EPISODES)
 
-    def windows(self) -> list[Json]:
-        """Window evaluations: viewpoint, base, comparison, evidence, verdicts, threshold."""
-        return self.told.json(schema.WINDOWS)
+    def windows(self, about: Collection[str] = ()) -> list[Json]:
+        """Window evaluations: viewpoint, base, comparison, evidence, verdicts, threshold.
+
+        `about`: only those that name one of these objects.
+        """
+        return self.told.json(schema.WINDOWS, about)
 
     def matches(self) -> list[Json]:
         """Grounded queries: query, target, candidates with scores and matching, best first."""

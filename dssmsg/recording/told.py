@@ -57,12 +57,9 @@ class Told:
 
     def windows_about(self, ids: Collection[str]) -> Iterator[events.WindowEvaluated]:
         """Those windows that have evidence of, or a verdict on, one of these objects; no other is decoded."""
-        quoted = [f'"{name}"' for name in ids]
-        texts = self._file.table(schema.WINDOWS).stream("json")
-        for number, text in enumerate(texts, 1):
+        for number, row in self._json(schema.WINDOWS, ids):
             with reading(self._path, f"row {number} of {schema.WINDOWS.path}"):
-                if any(name in text for name in quoted):
-                    yield window(self._migrations.row(schema.WINDOWS, _object(text)))
+                yield window(row)
 
     @cached_property
     def matches(self) -> Sequence[events.Matched]:
@@ -120,13 +117,22 @@ class Told:
                 )
             ]
 
-    def json(self, table: schema.Table) -> list[Json]:
-        """The JSON values of a table's rows, brought up to the present schema."""
-        found = []
+    def json(self, table: schema.Table, about: Collection[str] = ()) -> list[Json]:
+        """The JSON values of a table's rows, brought up to the present schema.
+
+        `about`: only of rows that have one of these texts, in quotes, somewhere; no other is decoded.
+        """
+        return [row for _, row in self._json(table, about)]
+
+    def _json(self, table: schema.Table, about: Collection[str]) -> Iterator[tuple[int, Json]]:
+        """Rows with their numbers, from 1."""
+        quoted = [f'"{name}"' for name in about]
         for number, text in enumerate(self._file.table(table).stream("json"), 1):
             with reading(self._path, f"row {number} of {table.path}"):
-                found.append(self._migrations.row(table, _object(text)))
-        return found
+                if quoted and not any(name in text for name in quoted):
+                    continue
+                row = self._migrations.row(table, _object(text))
+            yield number, row
 
     def texts(self, table: schema.Table) -> Iterator[str]:
         """The JSON of a table's rows as it is stored: to tell equal rows without reading them."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -83,13 +83,13 @@ class ReviewedRecording(Recording):
             if frame in keys
         }
 
-    @cached_property
-    def evidence(self) -> Mapping[str, Mapping[int, str]]:
-        """What key frames said of each object, by its id and the frame; the last window has the last word."""
-        said: defaultdict[str, dict[int, str]] = defaultdict(dict)
-        for window in self.windows():
+    def evidence(self, object_ids: Collection[str]) -> Mapping[str, Mapping[int, str]]:
+        """What key frames said of objects, by id and frame; the last window has the last word."""
+        said: dict[str, dict[int, str]] = {name: {} for name in object_ids}
+        for window in self.windows(object_ids) if object_ids else ():
             for one in window["evidence"]:
-                said[one["object"]][one["frame"]] = one["verdict"]
+                if one["object"] in said:
+                    said[one["object"]][one["frame"]] = one["verdict"]
         return said
 
     @cached_property
@@ -216,6 +216,19 @@ class EpisodeCase:
     def answers(self) -> Sequence[TruthObject]:
         """The true objects that answer the goal."""
         return [thing for thing in self.things if same_thing(thing.label, self.wanted)]
+
+    @cached_property
+    def evidence(self) -> Mapping[str, Mapping[int, str]]:
+        """What key frames said of the objects that are called what is sought, by id and frame.
+
+        So called at the end of the recording, or when the goal was grounded.
+        """
+        ids = set()
+        for thing in self.recording.history.objects.values():
+            then = thing.label() if self.match is None else thing.label(self.match["frame"])
+            if same_thing(thing.label(), self.wanted) or same_thing(then, self.wanted):
+                ids.add(thing.id)
+        return self.recording.evidence(ids)
 
     @cached_property
     def held(self) -> ObjectHistory | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,10 +20,16 @@ class Sighting:
     frame: int
     detection: int
     label: str
-    scores: Mapping[str, tuple[float, float | None]]
-    box: tuple[float, ...]
+    terms: Sequence[Sequence[Any]]
+    """As recorded: name, value and what it was held against (None: nothing)."""
+    box: Sequence[float]
     """Of the object afterwards: lowest x, y, z, highest x, y, z, metres."""
     rule: str
+
+    @property
+    def scores(self) -> Mapping[str, tuple[float, float | None]]:
+        """The terms by name."""
+        return _scores(self.terms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +52,7 @@ class ObjectHistory:
     sightings: list[Sighting] = field(default_factory=list)
     facts: list[Fact] = field(default_factory=list)
     absorbed: list[tuple[int, str]] = field(default_factory=list)
-    box: tuple[float, ...] = ()
+    box: Sequence[float] = ()
     gone: int | None = None
     successor: str | None = None
 
@@ -168,7 +174,7 @@ class MapHistory:
                 thing = self.objects.get(row["object_id"])
                 if thing is not None:
                     thing.facts.append(_fact(row, "place", row["after"].get("box")))
-                    thing.box = tuple(row["after"].get("box", thing.box))
+                    thing.box = row["after"].get("box", thing.box)
             case "objects_joined":
                 self._join(row)
             case "object_removed":
@@ -188,12 +194,12 @@ class MapHistory:
 
     def _sight(self, row: Json) -> None:
         thing = self.objects.setdefault(row["object_id"], ObjectHistory(row["object_id"], row["frame"]))
-        thing.box = tuple(row["after"].get("box", thing.box))
+        thing.box = row["after"].get("box", thing.box)
         if row["kind"] == "object_added":
             thing.facts.append(_fact(row, "status", row["after"].get("status", TENTATIVE)))
         thing.sightings.append(
             Sighting(
-                row["frame"], row["detection"], row["label"], _scores(row), thing.box, row["cause"]["rule"]
+                row["frame"], row["detection"], row["label"], row["scores"], thing.box, row["cause"]["rule"]
             )
         )
 
@@ -204,7 +210,7 @@ class MapHistory:
         gone.gone, gone.successor = row["frame"], kept.id
         kept.absorbed.append((row["frame"], gone.id))
         kept.sightings = sorted([*kept.sightings, *gone.sightings], key=lambda s: s.frame)
-        kept.box = tuple(row["after"].get("box", kept.box))
+        kept.box = row["after"].get("box", kept.box)
         for name in ("status", "state"):
             if name in row["after"]:
                 kept.facts.append(_fact(row, name, row["after"][name]))
@@ -228,8 +234,8 @@ class MapHistory:
 
 def _fact(row: Json, name: str, value: Any) -> Fact:
     cause = f"{row['cause']['plugin']}: {row['cause']['rule']}"
-    return Fact(row["frame"], name, value, cause, _scores(row))
+    return Fact(row["frame"], name, value, cause, _scores(row["scores"]))
 
 
-def _scores(row: Json) -> dict[str, tuple[float, float | None]]:
-    return {name: (value, threshold) for name, value, threshold in row["scores"]}
+def _scores(terms: Iterable[Sequence[Any]]) -> dict[str, tuple[float, float | None]]:
+    return {name: (value, threshold) for name, value, threshold in terms}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dssmsg.frame import FloatArray, TruthObject
+from dssmsg.frame import FloatArray, IntArray, TruthObject
 from dssmsg.geometry import back_project_world
 from dssmsg.review.episode import MAX_RANGE_M, MIN_PIXELS, EpisodeCase, ReviewedRecording
 from dssmsg.review.episode_map import ObjectHistory
@@ -40,12 +40,12 @@ def true_sights(case: EpisodeCase) -> list[TrueSight]:
     frames = [frame for frame in recording.key_frames if frame <= case.last]
     for frame in spread(frames) if answers else ():
         truth = recording.truth(frame)
-        if truth is None:
-            continue
+        if truth is None or not _shown(truth.instance_ids, answers):
+            continue  # its depth need not be decoded
         depth = recording.frame(frame).depth
         near = np.where((depth > 0) & (depth < MAX_RANGE_M), truth.instance_ids, 0)
         counts = np.bincount(near.ravel(), minlength=1)
-        visible = [i for i in answers if i < len(counts) and counts[i] >= MIN_PIXELS]
+        visible = _shown(near, answers)
         if not visible:
             continue
         names: dict[int, list[str]] = {i: [] for i in visible}
@@ -56,6 +56,12 @@ def true_sights(case: EpisodeCase) -> list[TrueSight]:
                     names[i].append(detection.label)
         found += [TrueSight(frame, i, tuple(names[i])) for i in visible]
     return found
+
+
+def _shown(instance_ids: IntArray, wanted: Iterable[int]) -> list[int]:
+    """Which of the wanted instances have enough pixels (H, W)."""
+    counts = np.bincount(instance_ids.ravel(), minlength=1)
+    return [i for i in wanted if i < len(counts) and counts[i] >= MIN_PIXELS]
 
 
 def true_parts(recording: ReviewedRecording, thing: ObjectHistory, most: int = 30) -> Counter[str]:

@@ -125,7 +125,7 @@ def _gone_at(thing: ObjectHistory, last: int) -> Fact | None:
 
 def _frames(case: EpisodeCase, object_id: str, verdicts: Sequence[str], until: int) -> list[int]:
     """Key frames that said so of an object, each once, ascending; since the last that said otherwise."""
-    said = case.recording.evidence.get(object_id, {})
+    said = case.evidence.get(object_id, {})
     run: list[int] = []
     for frame in sorted(frame for frame in said if frame <= until):
         if said[frame] in verdicts:
