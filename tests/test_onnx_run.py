@@ -49,9 +49,9 @@ def folder(tmp_path_factory):
 
 
 def test_three_lines_swap_the_eyes(folder):
-    run = real_run(folder, "mission.max_frames=12")
+    run = real_run(folder, "mission.max_frames=6")
     assert run.summary["errors"] == 0
-    assert run.summary["frames"] == 12
+    assert run.summary["frames"] == 6
     rows = [json.loads(line) for line in run.change_log.read_text().splitlines()]
     added = [row for row in rows if row["kind"] == "object_added"]
     assert added

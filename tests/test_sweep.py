@@ -84,6 +84,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, str]:
     return made, done.out
 
 
+def with_seeds(folder: Project, seeds: str) -> None:
+    (folder.path / "matrix.yaml").write_text(MATRIX.replace("seeds: 2", f"seeds: {seeds}"))
+
+
 def log(folder: Project, word: str) -> list[str]:
     file = folder.path / "log"
     lines = file.read_text().splitlines() if file.exists() else []
@@ -162,11 +166,12 @@ def test_a_sweep_that_was_killed_goes_on_and_repeats_nothing(
 
 
 def test_a_run_whose_process_is_killed_is_tried_again(folder: Project) -> None:
-    (folder.path / "kill-1-5").touch()
+    with_seeds(folder, "1")
+    (folder.path / "kill-0-5").touch()
     done = folder.run("sweep", "matrix.yaml", "--jobs", "1", "--csv")
     assert done.code == 0, done.err
     begun = log(folder, "begin")
-    assert [begun.count(run) for run in RUNS] == [1, 1, 1, 2]
+    assert [begun.count(run) for run in RUNS] == [1, 2, 0, 0]
     assert {row["mean"] for row in rows(done.out) if row["metric"] == "failed"} == {"0.0"}
 
 
@@ -217,10 +222,11 @@ def alive(group: int) -> list[str]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the kernel's table of processes")
 def test_interrupted_children_do_not_outlive_the_sweep(folder: Project) -> None:
+    with_seeds(folder, "[1]")  # all of them are held
     (folder.path / "hold").touch()
     process = start(folder, "--jobs", "1")
     try:
-        wait_until(lambda: len(log(folder, "begin")) == 3)
+        wait_until(lambda: log(folder, "begin"))
         os.kill(process.pid, signal.SIGTERM)
         assert process.wait(30) == 143
     finally:
@@ -240,6 +246,7 @@ def test_what_is_wrong_only_in_a_run_is_said_with_the_file_too(folder: Project) 
 
 
 def test_a_plugin_file_that_does_not_load_is_said_once(folder: Project) -> None:
+    with_seeds(folder, "1")
     (folder.path / "broken.py").write_text("import nothing_of_the_kind\n")
     text = BASE.replace("plugins: [", "plugins: [broken.py, ")
     (folder.path / "base.yaml").write_text(text)
