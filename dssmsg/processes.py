@@ -1,13 +1,26 @@
-"""Processes that serve this one: a signal to the whole group does not end them, this one does."""
+"""This process and those that serve it: what they are spared, and which signals reach them."""
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 import threading
 from multiprocessing.process import BaseProcess
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_COLLECTED_AFTER = (50_000, 20, 20)
+
+
+def collect_seldom() -> None:
+    """Look for unused cycles of objects seldom, and not once more at the end, when everything goes anyway.
+
+    Rows of a recording are small objects that stay: with Python's own threshold, 700, the search among an
+    hour of them took a sixth of the time.
+    """
+    gc.set_threshold(*_COLLECTED_AFTER)
+    atexit.register(gc.freeze)
 
 
 def start_sheltered(process: BaseProcess) -> None:

@@ -6,8 +6,6 @@ code, with `--json` an object on stdout too; anything else keeps its traceback.
 
 from __future__ import annotations
 
-import atexit
-import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -203,10 +201,6 @@ _THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OMP_WAIT_POLIC
 Set before numpy is imported; whoever knows better sets them in the environment."""
 
 
-_COLLECTED_AFTER = (50_000, 20, 20)
-"""Rows of a recording are small objects that stay: with Python's own 700 looking for cycles among an hour of
-them takes a sixth of the time. And at the end, when all goes anyway, nothing is looked through once more."""
-
 _COMPLETE = "_DSSMSG_COMPLETE"
 """Set by the completion that `--install-completion` puts into the shell's start-up file."""
 
@@ -214,11 +208,11 @@ _COMPLETE = "_DSSMSG_COMPLETE"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     from dssmsg.cli.ending import Ending
+    from dssmsg.processes import collect_seldom
 
     for variable, value in _THREADS.items():
         os.environ.setdefault(variable, value)
-    gc.set_threshold(*_COLLECTED_AFTER)
-    atexit.register(gc.freeze)
+    collect_seldom()
     given = list(sys.argv[1:] if arguments is None else arguments)
     ending = Ending(as_json="--json" in given, debug="--debug" in given)
     # --debug may stand anywhere; the parser knows it in front of the command.

@@ -32,7 +32,7 @@ from dssmsg.lift import Lifted, Lifter
 from dssmsg.mission.keyframes import KeyFrameRule, KeyFrameSelector
 from dssmsg.mission.topology import FloorPlan
 from dssmsg.navigation.grid import GridOptions, RollingGrid
-from dssmsg.processes import leave_group, start_sheltered
+from dssmsg.processes import collect_seldom, leave_group, start_sheltered
 from dssmsg.recording.reader import Recording
 
 _WAITING_FRAMES = 24
@@ -198,6 +198,7 @@ def _with_features(observation: Observation, detection: Detection) -> Observatio
 
 def _work(results: Connection) -> None:
     leave_group()
+    collect_seldom()
     _keep_freed_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:

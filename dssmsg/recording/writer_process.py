@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from dssmsg.errors import StorageError
 from dssmsg.events import Event, FrameCaptured, TruthSeen
 from dssmsg.frame import MaskArray, TruthObject
-from dssmsg.processes import leave_group, start_sheltered
+from dssmsg.processes import collect_seldom, leave_group, start_sheltered
 from dssmsg.recording.lazy_frame import Elsewhere, LazyFrame, LazyTruth
 from dssmsg.recording.writing import Settings, ends_a_run
 
@@ -185,6 +185,7 @@ _CROSSING: dict[type, Callable[[Any], Any]] = {np.ndarray: _array, MappingProxyT
 
 def _serve(settings: Settings, pipe: Connection) -> None:
     leave_group()
+    collect_seldom()
     if hasattr(os, "nice"):
         os.nice(10)  # nobody waits for it before the end: where cores are scarce the mission goes first
     import dssmsg.recording.writer  # noqa: F401 - takes a second: while the mission is put together
