@@ -96,10 +96,10 @@ class UpdateRule(EpisodeRule[Config]):
         for thing in case.recording.history.objects.values():
             if not thing.is_there(at) or not same_thing(thing.label(at), case.wanted):
                 continue
+            if any(gap_to(answer, thing.box) < self.config.apart for answer in case.answers):
+                continue  # it is there, whatever the windows say: they need not be read
             missed = _frames(case, thing.id, (MISSED,), at)
             if len(missed) < self.config.frames:
-                continue
-            if any(gap_to(answer, thing.box) < self.config.apart for answer in case.answers):
                 continue
             sure = 0.8 if driven is thing else 0.7
             yield Finding(
