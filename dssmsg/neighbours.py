@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from dssmsg.frame import MaskArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree  # takes a quarter of a second; who only reads recordings needs none
 
 
 def quick_tree(points: NDArray[np.floating[Any]]) -> KDTree:
     """A KD-tree of points (N, 3): quick to build, a little slower to search, the answers are the same."""
+    from scipy.spatial import KDTree
+
     return KDTree(points, balanced_tree=False, compact_nodes=False)
 
 

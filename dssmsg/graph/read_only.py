@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
-
-from scipy.spatial import KDTree
+from typing import TYPE_CHECKING, Any
 
 from dssmsg.frame import Float32Array, FloatArray, MaskArray
 from dssmsg.graph.nodes import Edge, HistoryNode, ObjectNode, Viewpoint, WaypointNode
 from dssmsg.graph.view import GraphView
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree  # takes a quarter of a second; who only reads recordings needs none
 
 
 class ReadOnlyGraph:

@@ -12,10 +12,9 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from dssmsg.frame import Float32Array, FloatArray, MaskArray
 from dssmsg.graph.changes import Change
@@ -28,6 +27,9 @@ from dssmsg.graph.spatial import BoxIndex, PointIndex
 from dssmsg.graph.tables import Table
 from dssmsg.graph.voxels import KeyArray, contained, voxel_keys
 from dssmsg.neighbours import quick_tree
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree  # takes a quarter of a second; who only reads recordings needs none
 
 
 class SceneGraph:

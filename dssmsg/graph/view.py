@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Protocol
-
-from scipy.spatial import KDTree
+from typing import TYPE_CHECKING, Any, Protocol
 
 from dssmsg.frame import Float32Array, FloatArray, MaskArray
 from dssmsg.graph.nodes import Edge, HistoryNode, ObjectNode, Viewpoint, WaypointNode
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree  # takes a quarter of a second; who only reads recordings needs none
 
 
 class GraphView(Protocol):
