@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 import os
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from dssmsg.graph.compare import same
 from dssmsg.graph.scene_graph import SceneGraph
 from dssmsg.recording import blob_column, migrations, rows, schema, snapshots
 from dssmsg.recording.chunk_index import ChunkIndex, Place
+from dssmsg.recording.damage import json_value
 from dssmsg.recording.newest import newest
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.writer import RecordingWriter
@@ -181,6 +183,8 @@ def test_seldom_events_come_back(tmp_path: Path) -> None:
     writer.write(ev.EpisodeEnded(0, "wash up", "no_path", "blocked", 9, 1.8, {"spl": 0.0}))
     writer.close()
     recording = Recording.open(tmp_path / "r.rrd")
+    assert recording.windows(["object-10", "viewpoint-1"]) == []
+    assert recording.windows(["object-1"]) == recording.windows()
     (window,) = recording.windows()
     assert window["evidence"] == [
         {"frame": 7, "object": "object-1", "verdict": "missed", "values": {"behind_m": 0.4}}
@@ -193,6 +197,23 @@ def test_seldom_events_come_back(tmp_path: Path) -> None:
     assert (call["role"], call["ok"], call["error"], call["tokens"]) == ("target_graph", False, "slow", None)
     (episode,) = recording.episodes()
     assert (episode["outcome"], episode["reason"]) == ("no_path", "blocked")
+
+
+def test_what_python_wrote_as_json_is_read() -> None:
+    for value in ({"label": "\ud800"}, [1e-300, "\N{DUCK}", None]):
+        assert json_value(json.dumps(value)) == value
+    for text in ("{", "", "[" * 5000):
+        with pytest.raises((ValueError, RecursionError)):
+            json_value(text)
+
+
+def test_floor_poses_are_those_of_the_base(recording: Recording) -> None:
+    for index in recording.frame_indices:
+        _, base = recording.poses(index)
+        heading = math.atan2(base[1, 0], base[0, 0])
+        assert recording.floor_pose(index) == pytest.approx((base[0, 3], base[1, 3], heading))
+    with pytest.raises(InputError, match=f"no frame {FRAMES}"):
+        recording.floor_pose(FRAMES)
 
 
 def test_summary_counts_what_the_run_was(recording: Recording, run: SyntheticRun) -> None:

@@ -47,10 +47,8 @@ def json_value(text: str) -> Any:
     """The value of a JSON text. Raises ValueError or RecursionError if it is none."""
     try:
         return orjson.loads(text)
-    except orjson.JSONDecodeError:
-        return json.loads(
-            text
-        )  # halves of surrogate pairs, which an LLM may answer with, and what is damaged
+    except orjson.JSONDecodeError:  # damaged, or half of a surrogate pair, which Python writes and reads
+        return json.loads(text)
 
 
 def json_object(text: Any) -> dict[str, Any]:
