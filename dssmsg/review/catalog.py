@@ -11,6 +11,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ from dssmsg.recording.repair import check_recording
 from dssmsg.recording.told import episode
 
 INDEX_VERSION = 1
+_MOST_THREADS = 8
 
 Json = dict[str, Any]
 Progress = Callable[[int, int], None]
@@ -66,10 +68,14 @@ def read_runs(
         if kept is not None and kept[0] == stamps[path]:
             found[path] = kept[1]
     missing = [path for path in paths if path not in found]
-    for path in missing:
-        progress(len(found), len(paths))
-        found[path] = _quick_entry(path) or _entry(path)
     progress(len(found), len(paths))
+    pool = ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1))  # Rerun reads without Python's lock
+    try:
+        for path, entry in zip(missing, pool.map(_quick_entry, missing), strict=True):
+            found[path] = entry or _entry(path)
+            progress(len(found), len(paths))
+    finally:
+        pool.shutdown(cancel_futures=True)
     if missing and index is not None:
         # A file that is still growing has no index of its own yet: it is read again.
         _store(index, {str(p.resolve()): (stamps[p], found[p]) for p in paths if found[p].complete})
