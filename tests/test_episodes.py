@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import random
 import shutil
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from recorded_run import SyntheticRun, record
 
 from dssmsg import events as ev
 from dssmsg.errors import ConfigError
+from dssmsg.recording.footer import Footer
 from dssmsg.review import catalog
 from dssmsg.review.episodes_where import condition, value_of
 
@@ -55,6 +58,44 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def copied(recordings: Path, tmp_path: Path) -> Project:
     shutil.copytree(recordings, tmp_path / "many")
     return project(tmp_path)
+
+
+def test_the_quick_way_says_what_opening_the_file_says(recordings: Path) -> None:
+    for path in catalog.find_recordings(recordings):
+        quick = catalog._quick_entry(path)
+        assert quick is not None
+        assert quick == catalog._entry(path)
+
+
+def test_the_footer_is_what_rerun_reads_from_it(recordings: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    path = recordings / "run-0.rrd"
+    reader = RrdReader(path)
+    (name,) = reader.recordings()
+    table = reader.store(store=name)._chunk_index().to_arrow()
+    columns = (
+        table.column(f"chunk_{part}").to_pylist() for part in ("entity_path", "byte_offset", "byte_size")
+    )
+    footer = Footer.of(path)
+    assert footer is not None
+    assert footer.application_id == name.application_id
+    found = [(entity, *span) for entity, spans in footer.spans.items() for span in spans]
+    assert sorted(found) == sorted(zip(*columns, strict=True))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_damaged_footer_is_none_or_harmless(recordings: Path, tmp_path: Path, seed: int) -> None:
+    data = bytearray((recordings / "run-1.rrd").read_bytes())
+    begin, _ = struct.unpack_from("<QQ", data, len(data) - 32)
+    draw = random.Random(seed)
+    for _ in range(draw.randrange(1, 200)):
+        data[draw.randrange(begin - 16, len(data))] = draw.randrange(256)
+    path = tmp_path / "damaged.rrd"
+    path.write_bytes(data[: draw.choice([len(data), draw.randrange(len(data))])])
+    Footer.of(path)
+    (entry,) = catalog.read_runs([path]).values()
+    assert entry.problem or entry.facts["name"] == "synthetic"
 
 
 def ask(folder: Project, *arguments: str) -> Any:

@@ -73,12 +73,18 @@ class ChunkIndex:
 
         A small file for several costs little more than for one.
         """
-        from rerun.chunk import RrdReader
+        alone = chunks_alone(self._picker, [(place.offset, place.size) for place in places])
+        return [chunk.to_record_batch() for chunk in alone]
 
-        with tempfile.TemporaryDirectory(prefix="dssmsg-") as folder:
-            file = Path(folder) / "chunks.rrd"
-            file.write_bytes(self._picker.alone([(place.offset, place.size) for place in places]))
-            with _ONE_AT_A_TIME, warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that the small file has no index
-                reader = RrdReader(file)
-            return [chunk.to_record_batch() for chunk in reader.stream()]
+
+def chunks_alone(picker: MessagePicker, spans: Sequence[tuple[int, int]]) -> list[Any]:
+    """The chunks (Rerun's) of single messages of a file, in any order. Raises what Rerun raises."""
+    from rerun.chunk import RrdReader
+
+    with tempfile.TemporaryDirectory(prefix="dssmsg-") as folder:
+        file = Path(folder) / "chunks.rrd"
+        file.write_bytes(picker.alone(spans))
+        with _ONE_AT_A_TIME, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that the small file has no index
+            reader = RrdReader(file)
+        return list(reader.stream())

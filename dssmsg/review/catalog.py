@@ -20,9 +20,11 @@ from typing import Any
 from dssmsg.errors import DssmsgError
 from dssmsg.events import EpisodeEnded
 from dssmsg.recording import schema
+from dssmsg.recording.chunk_index import chunks_alone
 from dssmsg.recording.columns import component_of
 from dssmsg.recording.damage import json_value
-from dssmsg.recording.messages import has_footer
+from dssmsg.recording.footer import Footer
+from dssmsg.recording.messages import MessagePicker
 from dssmsg.recording.reader import Recording
 from dssmsg.recording.repair import check_recording
 from dssmsg.recording.told import episode
@@ -122,24 +124,20 @@ def _facts(facts: Mapping[str, Any]) -> Json:
 
 
 def _quick_entry(path: Path) -> RunEntry | None:
-    """The entry of a finished recording of this schema, read in one pass over three of its entities.
+    """The entry of a finished recording of this schema, by the few chunks that tell it.
 
-    A quarter of the time that opening it takes, and than a catalog server takes to register it. None for
-    whatever is not plain: the reader says it best.
+    None for whatever is not plain: the reader says it best.
     """
-    from rerun.chunk import RrdReader
-
     run, summary = (f"/__properties/{name}" for name in (schema.RUN_PROPERTY, schema.SUMMARY_PROPERTY))
     episodes, column = schema.EPISODES.path, schema.EPISODES.component("json")
     try:
         check_recording(path)
-        if not has_footer(path):
+        footer = Footer.of(path)
+        if footer is None or footer.application_id != schema.APPLICATION_ID:
             return None
-        reader = RrdReader(path)
-        if [one.application_id for one in reader.recordings()] != [schema.APPLICATION_ID]:
-            return None
+        spans = [span for entity in (episodes, run, summary) for span in footer.spans.get(entity, ())]
         cells: dict[tuple[str, str | None], list[Any]] = {}
-        for chunk in reader.stream().filter(content=[episodes, run, summary]):
+        for chunk in chunks_alone(MessagePicker(path, footer.first), spans):
             batch = chunk.to_record_batch()
             for field, values in zip(batch.schema, batch.columns, strict=True):
                 name = component_of(field)
