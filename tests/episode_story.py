@@ -130,7 +130,7 @@ class Story(ReviewedRecording):
     def navigation(self):
         return self.drive
 
-    def windows(self, about=()):
+    def windows(self, about=None):
         return self.told_windows
 
     def command(self, index):

@@ -185,6 +185,7 @@ def test_seldom_events_come_back(tmp_path: Path) -> None:
     recording = Recording.open(tmp_path / "r.rrd")
     assert recording.windows(["object-10", "viewpoint-1"]) == []
     assert recording.windows(["object-1"]) == recording.windows()
+    assert recording.windows([]) == []
     (window,) = recording.windows()
     assert window["evidence"] == [
         {"frame": 7, "object": "object-1", "verdict": "missed", "values": {"behind_m": 0.4}}

@@ -380,7 +380,7 @@ class Recording:
         """Episodes ended: episode, goal, outcome, reason, frame, values."""
         return self.told.json(schema.EPISODES)
 
-    def windows(self, about: Collection[str] = ()) -> list[Json]:
+    def windows(self, about: Collection[str] | None = None) -> list[Json]:
         """Window evaluations: viewpoint, base, comparison, evidence, verdicts, threshold.
 
         `about`: only those that name one of these objects.

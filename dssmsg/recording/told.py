@@ -117,19 +117,19 @@ class Told:
                 )
             ]
 
-    def json(self, table: schema.Table, about: Collection[str] = ()) -> list[Json]:
+    def json(self, table: schema.Table, about: Collection[str] | None = None) -> list[Json]:
         """The JSON values of a table's rows, brought up to the present schema.
 
         `about`: only of rows that have one of these texts, in quotes, somewhere; no other is decoded.
         """
         return [row for _, row in self._json(table, about)]
 
-    def _json(self, table: schema.Table, about: Collection[str]) -> Iterator[tuple[int, Json]]:
+    def _json(self, table: schema.Table, about: Collection[str] | None) -> Iterator[tuple[int, Json]]:
         """Rows with their numbers, from 1."""
-        quoted = [f'"{name}"' for name in about]
+        quoted = None if about is None else [f'"{name}"' for name in about]
         for number, text in enumerate(self._file.table(table).stream("json"), 1):
             with reading(self._path, f"row {number} of {table.path}"):
-                if quoted and not any(name in text for name in quoted):
+                if quoted is not None and not any(name in text for name in quoted):
                     continue
                 row = self._migrations.row(table, _object(text))
             yield number, row

@@ -86,7 +86,7 @@ class ReviewedRecording(Recording):
     def evidence(self, object_ids: Collection[str]) -> Mapping[str, Mapping[int, str]]:
         """What key frames said of objects, by id and frame; the last window has the last word."""
         said: dict[str, dict[int, str]] = {name: {} for name in object_ids}
-        for window in self.windows(object_ids) if object_ids else ():
+        for window in self.windows(object_ids):
             for one in window["evidence"]:
                 if one["object"] in said:
                     said[one["object"]][one["frame"]] = one["verdict"]
